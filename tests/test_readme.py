@@ -33,6 +33,7 @@ CONDITIONS = next(block for block in BLOCKS if "conditions.h5" in block)
 CONTROL = next(block for block in BLOCKS if "est.control" in block)
 
 
+@pytest.mark.slow
 def test_three_calls_lead_from_conditions_to_a_controller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -113,6 +113,7 @@ def test_each_experiment_counts_as_if_it_stood_alone(mixed, model):
             near(*products_of(triangle[column], factor_of_own[0]))
 
 
+@pytest.mark.slow
 def test_what_would_leave_all_bounds_beyond_the_end_of_an_experiment_does_no_harm(mixed, model):
     model = model.with_values({"spring_stiffness": -2000.0})
     both = [mixed[0], mixed[0].cut(0, 24, "brief")]

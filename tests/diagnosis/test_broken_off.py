@@ -109,6 +109,7 @@ def test_whenever_the_time_is_over_there_is_an_answer_that_says_so(recording, wh
         assert found.mended is None or found.not_added
 
 
+@pytest.mark.slow
 def test_without_time_nothing_is_fitted_and_the_evidence_knows(recording):
     found = improved(recording, within=0.0)
     first = found.diagnoses[0]

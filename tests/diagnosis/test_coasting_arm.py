@@ -77,6 +77,7 @@ def test_what_three_stretches_of_a_second_cannot_confirm_is_asked_of_simulations
     check_dry_friction(diagnosed(2.7))
 
 
+@pytest.mark.slow
 def test_what_simulations_do_not_explain_either_is_not_adequate_for_want_of_data() -> None:
     found = diagnosed(2.0)
     check_dry_friction(found)
@@ -147,6 +148,7 @@ def test_the_next_experiment_is_one_that_needs_no_motor() -> None:
     assert "torque 0 N m, current 0 A" in text
 
 
+@pytest.mark.slow
 def test_a_comparison_holds_what_shows_nowhere_as_a_fit_does(tmp_path) -> None:
     recording(coast("only", -12.8, 1)).save(tmp_path / "rig.h5")
     said = call("compare", tmp_path / "rig.h5")

@@ -45,6 +45,7 @@ def test_the_noise_of_a_current_is_read_off_where_nothing_drives(recording: Reco
     assert recording.select(driven).current_noise() == 0.0, "nothing tells it from what drives"
 
 
+@pytest.mark.slow
 def test_it_explains_what_leads_the_simulation_astray_and_predictions_are_what_is_kept(recording: Recording) -> None:
     several = [rtac.effects.CATALOGUE[name] for name in ("arm_coulomb", "arm_stribeck")]
     found = est.improve(rtac.RTAC.from_rig(recording), recording, candidates=several, progress=False)

@@ -41,6 +41,7 @@ def deviations(fit: est.Fit) -> dict[str, float]:
     return {name: p.std for name, p in fit.parameters.items() if not p.is_fixed and name != HELD}
 
 
+@pytest.mark.slow
 def test_they_are_those_of_a_fit_that_estimates_all(recording: rtac.Recording, free: est.Fit, held: est.Fit) -> None:
     """A held torque fixes the scale of the others; what is then counted is the identity of the partitioned inverse."""
     counted = counting_held(held, recording, {HELD: free.parameters[HELD].std})
@@ -53,6 +54,7 @@ def test_they_are_those_of_a_fit_that_estimates_all(recording: rtac.Recording, f
     assert counted.correlations().matrix == pytest.approx(free.correlations().matrix[:-1, :-1], abs=0.02)
 
 
+@pytest.mark.slow
 def test_all_sets_of_assumptions_count_it(recording: rtac.Recording, free: est.Fit, held: est.Fit) -> None:
     counted = est.covariances(counting_held(held, recording, {HELD: free.parameters[HELD].std}), recording)
     alone, wanted = est.covariances(held, recording), est.covariances(free, recording)

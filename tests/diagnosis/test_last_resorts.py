@@ -59,6 +59,7 @@ def detent(at: np.ndarray) -> np.ndarray:
     return -DETENT.detent_force * x * np.exp(0.5 * (1.0 - x**2))
 
 
+@pytest.mark.slow
 def test_where_the_verdict_is_unknown_the_held_out_error_falls(learned: est.Improvement) -> None:
     assert learned.verdict == "unknown", learned
     assert learned.added == ()
@@ -69,6 +70,7 @@ def test_where_the_verdict_is_unknown_the_held_out_error_falls(learned: est.Impr
     assert learned.validation.models[-1].label == "+ learned force"
 
 
+@pytest.mark.slow
 def test_it_is_the_force_of_the_rig_but_for_what_the_spring_takes(learned: est.Improvement) -> None:
     found = learned.learned
     assert found is not None
@@ -81,6 +83,7 @@ def test_it_is_the_force_of_the_rig_but_for_what_the_spring_takes(learned: est.I
     assert np.std(left) < 0.5 * np.std(truth)
 
 
+@pytest.mark.slow
 def test_it_says_what_it_is_and_over_which_range(learned: est.Improvement, recording: rtac.Recording) -> None:
     found = learned.learned
     assert found is not None
@@ -118,6 +121,7 @@ def asked(
     return options
 
 
+@pytest.mark.slow
 def test_the_command_line_says_and_writes_it(asked: list[dict[str, object]], tmp_path: Path) -> None:
     result = call("improve", tmp_path / "rig.h5", "--json", tmp_path / "x.json")
     assert "Learned force, not a physical effect" in result.stdout
@@ -140,6 +144,7 @@ def test_the_report_shows_it(asked: list[dict[str, object]], tmp_path: Path) -> 
     assert "It names no physics: it makes the error fall where it was learned" in page
 
 
+@pytest.mark.slow
 def test_it_is_saved_with_the_improvement(learned: est.Improvement, tmp_path: Path) -> None:
     learned.save(tmp_path / "x.h5")
     loaded = est.load(tmp_path / "x.h5")
@@ -166,6 +171,7 @@ def test_nothing_is_learned_where_an_effect_explains_it() -> None:
     assert "spline_force" not in found.final.model
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,6 +194,7 @@ def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
     assert again == "No learned force was added: the model has one already."
 
 
+@pytest.mark.slow
 def test_where_predictions_follow_whatever_is_missing_the_equations_of_motion_say_what_is_learned(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +223,7 @@ def test_where_predictions_follow_whatever_is_missing_the_equations_of_motion_sa
     assert values == elsewhere
 
 
+@pytest.mark.slow
 def test_a_small_fall_near_the_noise_is_not_enough(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,6 +246,7 @@ def test_a_small_fall_near_the_noise_is_not_enough(
 
 
 @pytest.mark.parametrize(("times", "kept"), [(1.1, False), (0.99, True)])
+@pytest.mark.slow
 def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_error_rises(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch, times: float, kept: bool
 ) -> None:
@@ -255,6 +264,7 @@ def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_
 
 
 @pytest.mark.parametrize(("times", "kept"), [(2.2, False), (1.04, True)])
+@pytest.mark.slow
 def test_a_curve_with_which_more_of_what_was_fitted_is_missed_is_none(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch, times: float, kept: bool
 ) -> None:
@@ -296,6 +306,7 @@ def test_the_nearest_effect_is_added_and_called_likely(
 
 
 @pytest.mark.parametrize(("cause", "kept"), [("stand-in", False), ("unexplained", True)])
+@pytest.mark.slow
 def test_no_effect_is_added_where_random_forces_stand_in_for_the_physics(
     learned: est.Improvement, recording: rtac.Recording, cause: Cause, kept: bool
 ) -> None:

@@ -172,6 +172,7 @@ def drifted(driven):
     return fit, est.constancy(fit, driven)
 
 
+@pytest.mark.slow
 def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach_it(drifted):
     fit, found = drifted
     assert fit.farthest > 3.5, "the common fit is far off"
@@ -200,6 +201,7 @@ def test_what_goes_with_the_motion_is_an_effect_sooner_than_a_drift(drifted):
     assert "each_experiment" not in told
 
 
+@pytest.mark.slow
 def test_differences_are_looked_for_only_where_experiments_could_tell_them(drifted, driven):
     """Not of a fit that is at the noise, that is lost, or that cut its long experiments into pieces."""
     fit, _ = drifted

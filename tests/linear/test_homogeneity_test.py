@@ -28,6 +28,7 @@ def drifting(slope, seed=6):
     return est.prediction_error(Recording(tuple(experiments)), structure="output_error", compensate=False)
 
 
+@pytest.mark.slow
 def test_a_drift_is_found_and_named():
     found = drifting(0.02)
     test = found.equality()

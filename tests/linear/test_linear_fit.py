@@ -274,7 +274,9 @@ def test_means_are_taken_off_only_where_asked():
     assert all(np.min(np.abs(one.poles - POLE)) > 1 for one in left), "an offset is no part of the model set"
 
 
-@pytest.mark.parametrize("structure", ["output_error", pytest.param("armax", marks=pytest.mark.slow), "state_space"])
+@pytest.mark.parametrize(
+    "structure", ["output_error", *(pytest.param(x, marks=pytest.mark.slow) for x in ("armax", "state_space"))]
+)
 def test_models_are_stable_even_of_a_system_that_is_not(structure):
     """The truth's poles lie at +0.05 +- 10.5j."""
     random = np.random.default_rng(10)

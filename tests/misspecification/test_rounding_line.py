@@ -48,6 +48,7 @@ def test_only_what_is_stronger_than_all_rounding_is_a_line_of_a_channel_that_is_
         assert found.frequency == pytest.approx(400.0, abs=2 * np.pi)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_knows_which_channels_are_rounded(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = virtual_rig.Rig(position_noise=1e-9, quantisation_bits=12, position_range=0.05)
     plans = [

@@ -99,6 +99,7 @@ def test_each_result_is_that_of_a_single_fit() -> None:
     np.testing.assert_allclose(early.std, batch.std, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_with_dry_friction_it_is_so_to_two_hundredths_of_the_deviation(
     model: rtac.RTAC, recordings: list[rtac.Recording], batch: est.BatchFit
 ) -> None:

@@ -35,6 +35,7 @@ def moved() -> list[tuple[Case, Case]]:
     return list(zip(cases, with_starts_of_first_samples(cases, substeps=1), strict=True))
 
 
+@pytest.mark.slow
 def test_starts_come_nearer_to_the_truth(moved):
     """Positions and speeds of the cart by more than half; the truth is the virtual rig's."""
     before, after = (

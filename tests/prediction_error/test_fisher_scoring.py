@@ -92,6 +92,7 @@ def test_the_inertia_of_an_arm_whose_cart_friction_holds_is_as_unsure_as_it_is(d
         assert re.search(r"These data do not separate .*arm_inertia.* from .*known to \+-\d\d+ %", str(found))
 
 
+@pytest.mark.slow
 def test_what_a_cart_that_friction_holds_does_not_show_is_named():
     """Its parameters are not put on bounds because their deviations are large: an arm without inertia would diverge."""
     model, data = held_by_friction(0.03)
@@ -104,6 +105,7 @@ def test_what_a_cart_that_friction_holds_does_not_show_is_named():
         )
 
 
+@pytest.mark.slow
 def test_dry_friction_that_the_rig_does_not_have_ends_on_its_bound_with_a_deviation():
     """Beside a bound the likelihood is differenced to one side."""
     rig = Rig(cart_coulomb=0.0, **SHAKEN)

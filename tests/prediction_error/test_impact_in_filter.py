@@ -50,6 +50,7 @@ def innovations(*, play: bool) -> np.ndarray:
     return np.asarray(found.innovations)[: data.samples, TACHOMETER].ravel()
 
 
+@pytest.mark.slow
 def test_a_hit_that_shows_a_sample_early_or_late_is_no_surprise() -> None:
     """Of a rig that is not shaken, so that nothing but sensors and hits is random."""
     found, without = innovations(play=True), innovations(play=False)

@@ -31,6 +31,7 @@ def away(fit, truth):
     return {name: (fit.parameters[name].value - value) / fit.parameters[name].std for name, value in truth.items()}
 
 
+@pytest.mark.slow
 def test_random_forces_do_not_bend_the_physics(shaken):
     data, model, truth, rig = shaken
     simulated_fit = est.output_error(model, data, progress=False)
@@ -171,6 +172,7 @@ def test_a_singular_matrix_is_told_in_words(shaken, monkeypatch):
         est.prediction_error_nonlinear(model, data, from_model=True, progress=False)
 
 
+@pytest.mark.slow
 def test_random_forces_do_not_bend_dry_friction():
     """With the samples counted at which they shake it loose its level is 6 standard deviations low, and damping 4 high."""
     rig = Rig(encoder=True, force_noise=0.005, torque_noise=5e-5)

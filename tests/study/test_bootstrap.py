@@ -25,6 +25,7 @@ def white():
     return fitted()
 
 
+@pytest.mark.slow
 def test_the_parametric_bootstrap_agrees_with_cramer_and_rao(white, tmp_path):
     fit, recording = white
     found = est.bootstrap(fit, recording, repetitions=60, seed=3, out=tmp_path, progress=False)
@@ -63,6 +64,7 @@ def test_constants_are_weighed_again_for_each_replicate():
     assert found.std["total_mass"] == pytest.approx(std, rel=0.4)
 
 
+@pytest.mark.slow
 def test_blocks_see_a_coloured_residual_that_cramer_and_rao_do_not():
     fit, recording = fitted(noise_correlation=0.9)
     blocks = est.bootstrap(fit, recording, repetitions=24, method="blocks", progress=False)

@@ -88,6 +88,7 @@ def test_without_xarray_the_dataset_is_a_dictionary(monkeypatch):
     assert type(made_up(3, 0.0, 1.0).dataset) is dict
 
 
+@pytest.mark.slow
 def test_intervals_of_output_error_hold_the_truth_of_the_model_itself():
     spec = small(
         repetitions=40,

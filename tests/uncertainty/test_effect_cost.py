@@ -62,6 +62,7 @@ def mode_matrix():
     return np.diag([1 / cart, 1 / part]) @ np.array([[RIG.spring_stiffness + spring, -spring], [-spring, spring]])
 
 
+@pytest.mark.slow
 def test_knowing_the_mode_narrows_the_envelope_and_lowers_gamma(models, responses):
     rigid, flexible = models
     found = est.effect_cost(rigid, flexible, responses)

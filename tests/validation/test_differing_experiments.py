@@ -79,6 +79,7 @@ def test_what_is_left_of_each_experiment_is_held_against_coloured_noise_where_th
         ({"median_over_noise": {}, "chi_square": 0.4}, False),
     ],
 )
+@pytest.mark.slow
 def test_a_parameter_of_each_experiment_is_tried_only_where_all_of_them_leave_room_for_it(
     fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch, left: dict[str, Any], asked: bool
 ) -> None:

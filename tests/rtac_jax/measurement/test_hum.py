@@ -228,6 +228,7 @@ def test_of_many_experiments_those_without_it_keep_their_numbers() -> None:
 
 @pytest.mark.parametrize(("seconds", "parts"), [(10.0, 1), (4.0, 1), (4.0, 4)])
 @pytest.mark.parametrize("level", [0.05, 0.01])
+@pytest.mark.slow
 def test_noise_is_beyond_chance_as_seldom_as_said(seconds: float, parts: int, level: float) -> None:
     """Of 1,500 draws; seldomer where a line must also be larger than any beside it."""
     random, count = np.random.default_rng(7), round(seconds / INTERVAL)

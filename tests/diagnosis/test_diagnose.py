@@ -37,7 +37,7 @@ HIDDEN = {
     "cart_asymmetric_friction": (dict(cart_asymmetry=0.15), {"coefficient": 0.15}),
     "arm_load_friction": (dict(arm_load_friction=0.05), {"fraction": 0.05}),
 }
-# In every run of the tests two are named of the whole catalogue, one by `rtac demo` and one by the README. Each takes half a minute.
+# Every run of the tests names two of the whole catalogue, one by `rtac demo` and one by the README: each takes half a minute.
 CASES = [
     pytest.param("cubic_spring", SHORT, id="cubic_spring among a few", marks=pytest.mark.slow),
     *(pytest.param(name, None, id=name, marks=pytest.mark.slow) for name in HIDDEN),

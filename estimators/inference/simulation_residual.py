@@ -68,6 +68,7 @@ class SimulationResidual:
         words: what is known, as one or two sentences; empty for "noise".
         noise_known: whether the channel's noise is known apart from any fit; else it is that of the fastest changes.
         of_the_current: whether the noise of a measured current is a random torque of that size.
+        tested: whether tests of the innovations asked what is missing.
     """
 
     cause: Cause
@@ -80,6 +81,7 @@ class SimulationResidual:
     words: str
     noise_known: bool = True
     of_the_current: bool = False
+    tested: bool = True
 
     @property
     def vetoes(self) -> bool:
@@ -96,7 +98,9 @@ class SimulationResidual:
         """Return the cause in one line, with the numbers that carry it."""
         said = {
             "noise": "The simulation follows the recording down to the noise",
-            "shaken": "One sample ahead nothing is missing; random forces explain the simulation's error",
+            "shaken": "One sample ahead nothing is missing; random forces explain the simulation's error"
+            if self.tested
+            else "Random forces, or what they stand in for, explain the simulation's error",
             "too few data": "Too few data to tell a random force from a missing effect",
             "stand-in": "Random forces stand in for the physics",
             "unexplained": "Nothing explains the error of the simulation",
@@ -251,7 +255,7 @@ def simulation_residual(
         )
         return SimulationResidual(
             cause, channel, error[channel], by, fraction, *random, words,
-            noise_known and channel not in unknown, of_the_current,
+            noise_known and channel not in unknown, of_the_current, tested,
         )  # fmt: skip
 
     poorest = max(away, key=lambda c: away[c] / signal[c], default="")
@@ -329,7 +333,9 @@ def _words(
             f"Too few data: {misses}. Random forces ({size}) would explain that, and so might {suspect}; {seconds} s of data are"
             " too few to tell a random force from a missing effect."
         )
-    why = "the rig is shaken, or they hide what is smaller"
+    why = (
+        f"the rig is shaken, or they {'hide what is smaller' if tested else 'stand in for what a diagnosis would find'}"
+    )
     if of_the_current:
         why = "the measured current has noise that shakes the model as much, so nothing else need be"
     said = f"One sample ahead nothing is missing. Even so, {misses}" if tested else f"{misses[0].upper()}{misses[1:]}"

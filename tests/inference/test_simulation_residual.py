@@ -173,6 +173,9 @@ def test_what_nobody_looked_for_is_not_said_to_be_missing_nowhere() -> None:
         "One sample ahead nothing is missing. Even so, the simulation is 2.5 % of the motion away"
     )
     assert untold.words.startswith("The simulation is 2.5 % of the motion away")
+    assert "stand in for what a diagnosis would find" in untold.words
+    assert told.headline.startswith("One sample ahead nothing is missing")
+    assert untold.headline.startswith("Random forces, or what they stand in for, explain")
 
 
 def test_no_sensor_wanders_by_a_tenth_of_the_motion_and_hundreds_of_times_its_fastest_changes() -> None:

@@ -150,12 +150,14 @@ class _Friction:
         self.limit, self.own, self.cross = batch.limit, own, cross
         self.reach, self.low, self.push, self.work, self.bare = (np.zeros_like(own) for _ in range(5))
         self.product = np.empty(own.shape[1])
-        self.stops, self.slid = np.empty(own.shape[1], dtype=bool), np.empty(own.shape[1], dtype=bool)
+        self.before = np.empty(own.shape[1])
+        self.stops, self.slid = np.empty(own.shape[1], dtype=bool), np.empty(own.shape, dtype=bool)
 
     def apply(self, old: np.ndarray, new: np.ndarray) -> None:
         """Change in place the (2, B) velocities after the step, so far without friction."""
         if not self.bodies:
             return
+        np.not_equal(old, 0.0, out=self.slid)
         np.multiply(self.own, self.limit, out=self.reach)
         np.negative(self.reach, out=self.low)
         if len(self.bodies) == 1:
@@ -166,11 +168,16 @@ class _Friction:
             return
         np.copyto(self.bare, new)
         self.push[:] = 0.0
-        for _ in range(3):
+        last = self.bodies[-1]
+        for sweep in range(3):
+            np.copyto(self.before, self.push[last])
             for body in self.bodies:
                 np.multiply(self.cross[body], self.push[1 - body], out=new[body])
                 np.add(new[body], self.bare[body], out=new[body])
                 self._hold(body, old, new)
+            # The next sweep would begin as this one did, and end so. Where all slide that is the third.
+            if sweep == 1 and not np.count_nonzero(self.before != self.push[last]):
+                return
 
     def _hold(self, body: int, old: np.ndarray, new: np.ndarray) -> None:
         """Apply friction to one body, given the other: it takes all of the velocity, or as much as it can."""
@@ -180,9 +187,8 @@ class _Friction:
         np.subtract(free, taken, out=free)
         np.multiply(old[body], free, out=kept)
         np.less_equal(kept, 0.0, out=self.stops)
-        np.not_equal(old[body], 0.0, out=self.slid)
-        np.logical_and(self.stops, self.slid, out=self.stops)
-        if self.stops.any():
+        np.logical_and(self.stops, self.slid[body], out=self.stops)
+        if np.count_nonzero(self.stops):
             # Sliding ends within the step; then the body rests, or slides the other way in what is left.
             rows = np.flatnonzero(self.stops)
             start, bound = old[body, rows], self.reach[body, rows]

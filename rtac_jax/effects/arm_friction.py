@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import DryFriction, Force, Motion, States
 from rtac_jax.parameters import Scalar, parameter
 
@@ -88,6 +89,13 @@ class ArmLoadFriction(DryFriction):
         symbol="mu", unit="1", bounds=(0.0, 1.0), meaning="dry friction for each unit of the motor's torque", null=0.0,
         plausible=lambda _: 0.1,
     )  # fmt: skip
+
+    def remark(self, body: RigidBody) -> str:
+        driving, braking = (float(np.mean(body.torque_constant * (1.0 + sign * self.fraction))) for sign in (-1, 1))
+        return (
+            f"What acts is {driving:.4g} N m/A while the motor drives and {braking:.4g} while it brakes: a gear that rubs "
+            "otherwise while it brakes is the same with another torque constant."
+        )
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return 0.0, self.fraction * jnp.abs(motion.body.torque_constant * motion.current)

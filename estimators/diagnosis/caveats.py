@@ -145,6 +145,21 @@ def not_told_from_nothing(ids: Sequence[str]) -> str:
     )
 
 
+def unsure(ids: Sequence[str], fails: str, left: float) -> str:
+    """Say of effects that were added, and that a last fit far from the data does not tell from nothing, that they need not be it.
+
+    Args:
+        ids: of all that were.
+        fails: subject and verb of the sentence.
+        left: by the last fit, in times the noise.
+    """
+    named, it = ("was named and takes", "it") if len(ids) == 1 else ("were named and take", "them")
+    return (
+        f"{fails}, and what is missing is not known: {', '.join(ids)} {named} some of the held-out error away, but the last fit, at"
+        f" {left:.3g} times the noise, does not tell {it} from nothing."
+    )
+
+
 def named_too_late(ids: Sequence[str]) -> str:
     """Say that effects are named and were not fitted before the time was over."""
     are, were = ("are", "were") if len(ids) > 1 else ("is", "was")

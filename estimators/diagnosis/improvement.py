@@ -14,11 +14,12 @@ from estimators.diagnosis.caveats import (
     named_too_late,
     not_told_from_nothing,
     of_little_service,
+    unsure,
 )
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import PredictedGain
+from estimators.diagnosis.model_extension import PredictedGain, misfit
 from estimators.diagnosis.removed_error import Verdict
 from estimators.diagnosis.wrong_constant import stands_for
 from estimators.linear.homogeneity_test import Equality
@@ -338,6 +339,8 @@ def _named(found: Improvement) -> str:
             found.diagnoses[-1].verdict,
             "The model fails, and what the diagnosis names does not serve held-out experiments.",
         )
+    if _unsure_of_all(found):
+        return unsure(found.doubtful, _fails(found), misfit(found.train.models[-1]))
     sure = [candidate.id for candidate in found.added if not candidate.confusable_with]
     laws = {e.id for e in found.final.model.effects if isinstance(e, FormulaForce)}
     told = [f"{i} (a law read off the data)" if i in laws else i for i in sure]
@@ -375,6 +378,12 @@ def _named(found: Improvement) -> str:
     little = of_little_service(first, last, counted, found.diagnoses[0].policy, trained)
     constants = stands_for([i for c in found.added for i in (c.id, *c.confusable_with)], found.base.model)
     return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(found.doubtful)}{constants}"
+
+
+def _unsure_of_all(found: Improvement) -> bool:
+    """Return whether the last fit is far from the data and tells none of what was added from nothing, and no test calls it adequate."""
+    far = misfit(found.train.models[-1]) > FAR
+    return far and found.mended != "adequate" and {c.id for c in found.added} <= set(found.doubtful)
 
 
 def _in_time(found: Improvement) -> str:

@@ -56,6 +56,26 @@ def test_a_last_model_that_was_not_diagnosed_is_not_judged():
     assert found.headline == "flexible_mode was missing; the mended model was not diagnosed again."
 
 
+@pytest.mark.parametrize(
+    ("last", "left", "doubtful", "said"),
+    [
+        (None, 90.0, ("flexible_mode",), True),
+        ("unknown", 90.0, ("flexible_mode",), True),
+        ("adequate", 90.0, ("flexible_mode",), False),
+        ("unknown", 1.3, ("flexible_mode",), False),
+        ("unknown", 90.0, (), False),
+    ],
+)
+def test_what_a_fit_far_from_the_data_does_not_tell_from_nothing_is_not_said_to_have_been_missing(
+    last, left, doubtful, said
+):
+    """As a shaft of 2.3 +- 3.9 s^2, named of a motor whose supply sags, with the torque constant a fifth of its own."""
+    found = looped(NAMED, *([diagnosis(last)] if last else []), doubtful=doubtful)
+    found = dataclasses.replace(found, train=Comparison(tuple(compared(m.label, left) for m in found.train.models)))
+    assert ("flexible_mode was missing" in found.headline) is not said
+    assert ("what is missing is not known: flexible_mode was named" in found.headline) is said
+
+
 def test_a_group_is_named_as_a_group():
     rivals = dataclasses.replace(OTHERS[0], id="flexible_mode", confusable_with=("cubic_spring",))
     found = looped(NAMED, diagnosis("adequate"), added=(rivals,))

@@ -381,7 +381,7 @@ def _named(found: Improvement) -> str:
 
 
 def _unsure_of_all(found: Improvement) -> bool:
-    """Return whether the last fit is far from the data and tells none of what was added from nothing, and no test calls it adequate."""
+    """Return whether the last fit, far from the data, tells none of what was added from nothing, and no test calls it adequate."""
     far = misfit(found.train.models[-1]) > FAR
     return far and found.mended != "adequate" and {c.id for c in found.added} <= set(found.doubtful)
 

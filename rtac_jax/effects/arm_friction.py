@@ -83,7 +83,6 @@ class ArmLoadFriction(DryFriction):
     equation: ClassVar[str] = "-mu |K_m i| sgn theta'"
     source: ClassVar[str] = "Hamon, Gautier and Garrec, IEEE/RSJ Int. Conf. Intelligent Robots and Systems (2010)"
     port: ClassVar[str] = "arm"
-    resembles: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
 
     fraction: Scalar = parameter(
         symbol="mu", unit="1", bounds=(0.0, 1.0), meaning="dry friction for each unit of the motor's torque", null=0.0,

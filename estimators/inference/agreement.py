@@ -123,6 +123,17 @@ class Agreement:
         return found is not None and (found.of_the_current or max(found.random_force, found.random_torque) < SHAKEN)
 
     @property
+    def _unknown_noise(self) -> str:
+        """Return what a simulation leaves where nobody knows the noise, if it is far beyond the fastest changes; else nothing."""
+        found = self.simulation
+        if found is None or found.cause != "noise" or found.noise_known or not found.ratio > FAR:
+            return ""
+        return (
+            f"the simulation is left at {found.ratio:.3g} times the fastest changes of a channel, by noise that is slow or by what "
+            "is missing, and a rest record would tell which."
+        )
+
+    @property
     def verdict(self) -> str:
         """Return the verdict in words: whether they agree, which assumption fails, and what to look at next."""
         smallest = self.worst.p_value
@@ -132,6 +143,8 @@ class Agreement:
             words = self.simulation.words if self.simulation is not None else ""
             if self.simulation is not None and self.simulation.vetoes:
                 return f"No two disagree: {chance} That confirms nothing. {words}{hides or _ASK}"
+            if self._unknown_noise:
+                return f"No two disagree: {chance} That confirms nothing: {self._unknown_noise}{hides or _ASK}"
             if self.doubted:
                 return f"{self._nearly()}{' ' * bool(words)}{words}{self._untold()}{hides}"
             holds = words or "What the estimates rest on holds as far as these data can tell."

@@ -61,7 +61,7 @@ class SimulationResidual:
             effect that the data are too few to confirm; "stand-in" where the random forces take the place of the model's own;
             "unexplained".
         channel: name of the output; empty where no noise is known and the simulation is not poor.
-        ratio: rms error over the noise [1].
+        ratio: rms error over the noise [1]; without a channel the largest.
         shaken_ratio: rms error over the noise that the random forces of the predictor would leave [1]; NaN if not known.
         signal_fraction: rms error over the rms of the signal [1].
         random_force, random_torque: in one sample, as fractions of the rms forces; NaN if not known.
@@ -241,7 +241,8 @@ def simulation_residual(
     }
     beyond = {c: ratio for c, ratio in away.items() if c not in unknown}
     if not error or not (away or noise_known):
-        return SimulationResidual("noise", "", nothing, nothing, nothing, *random, "", noise_known)
+        most = max(error.values(), default=nothing)
+        return SimulationResidual("noise", "", most, nothing, nothing, *random, "", noise_known)
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]

@@ -178,5 +178,5 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
         tuple(rows),
         "Score: chi-square gained on the one-step predictions, less the price of the parameters. Those that came nearest were "
         "fitted, which gives BIC gain and fraction of the misfit.",
-        f"Not testable with these data: {', '.join(silent)}." if silent else "",
+        f"Not testable with these data beside the model that was diagnosed: {', '.join(silent)}." if silent else "",
     )

@@ -5,6 +5,7 @@ import pytest
 
 from estimators.inference import hausman
 from estimators.inference.agreement import Agreement, Disagreement
+from estimators.inference.simulation_residual import SimulationResidual
 
 
 @pytest.mark.parametrize(
@@ -26,6 +27,19 @@ def test_no_sensor_is_doubted_that_the_rig_does_not_have(
     assert words in found.verdict
     assert found.suspects[:2] == broken_by
     assert ("tacho" in found.verdict) == ("arm_velocity" in channels)
+
+
+@pytest.mark.parametrize(("left", "known", "confirms"), [(24.6, False, False), (3.0, False, True), (24.6, True, True)])
+def test_far_beyond_a_noise_that_nobody_knows_agreement_confirms_nothing(
+    left: float, known: bool, confirms: bool
+) -> None:
+    """Of a cart whose dry friction changes along its way, left at 25 times the noise: "what the estimates rest on holds"."""
+    pair = Disagreement(("a", "b"), np.array([0.1]), np.zeros(1), np.ones(1), np.array([0.9]), 0.9)
+    one, ask, nan = np.ones((2, 1)), ("each moment", "the whole"), float("nan")
+    simulation = SimulationResidual("noise", "", left, nan, nan, 0.02, 0.0, "", known)
+    found = Agreement(("mass",), ("kg",), ("a", "b"), ask, one, one, (pair,), 0.01, 80, False, {}, simulation)
+    assert ("What the estimates rest on holds" in found.verdict) is confirms
+    assert ("confirms nothing: the simulation is left at 24.6 times" in found.verdict) is not confirms
 
 
 def test_what_both_took_from_one_measured_constant_is_no_disagreement() -> None:

@@ -32,7 +32,7 @@ def test_what_the_data_could_not_show_stands_below_the_table() -> None:
     found = dataclasses.replace(made_up_results.diagnosis("unknown"), effects=(), candidates=(shown, hidden, nearest))
     table = candidate_table(found)
     assert [row[0] for row in table.rows] == ["shown", "nearest"]
-    assert str(table).splitlines()[-1] == "Not testable with these data: hidden."
+    assert str(table).splitlines()[-1] == "Not testable with these data beside the model that was diagnosed: hidden."
     assert not candidate_table(dataclasses.replace(found, candidates=(shown,))).note
 
 
@@ -44,4 +44,4 @@ def test_what_reaches_an_alarm_is_no_candidate_that_the_data_could_not_show() ->
     found = dataclasses.replace(made_up_results.diagnosis("adequate"), effects=(), candidates=(small, large))
     table = candidate_table(found)
     assert [(row[0], row[-2]) for row in table.rows] == [("b", "large, not confirmed")]
-    assert str(table).splitlines()[-1] == "Not testable with these data: a."
+    assert str(table).splitlines()[-1] == "Not testable with these data beside the model that was diagnosed: a."

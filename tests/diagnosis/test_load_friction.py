@@ -61,7 +61,7 @@ def test_it_is_found_beside_dry_friction_and_tells_what_acts_where_it_drives_and
     recording = geared(driving, braking)
     found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
     assert {c.id for c in found.added} == {"arm_load_friction", "arm_coulomb"}, found
-    assert found.verdict == "adequate"
+    assert found.mended == "adequate"
     torque, fraction = (found.final.parameters[n] for n in ("torque_constant", "arm_load_friction.fraction"))
     for sign, truth in ((-1, driving), (1, braking)):
         acting = torque.value * (1 + sign * fraction.value)
@@ -74,4 +74,4 @@ def test_a_gear_that_does_not_rub_so_is_not_said_to() -> None:
     recording = geared(0.0, 0.0)
     found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
     assert {c.id for c in found.added} == {"arm_coulomb"}, found
-    assert found.verdict == "adequate"
+    assert found.mended == "adequate"

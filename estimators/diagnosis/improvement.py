@@ -154,6 +154,12 @@ class Improvement(Result):
         return self.mended == "adequate" and others == (None, None, None) and at_noise(max(followed))
 
     @property
+    def names_nothing_sure(self) -> bool:
+        """Return whether the last fit, far from the data, tells none of what was added from nothing, and is not adequate."""
+        far = bool(self.added) and misfit(self.train.models[-1]) > FAR
+        return far and self.mended != "adequate" and {c.id for c in self.added} <= set(self.doubtful)
+
+    @property
     def mended(self) -> Verdict | None:
         """Return the verdict on the last model without a last resort, where effects were added and it was diagnosed again.
 
@@ -339,7 +345,7 @@ def _named(found: Improvement) -> str:
             found.diagnoses[-1].verdict,
             "The model fails, and what the diagnosis names does not serve held-out experiments.",
         )
-    if _unsure_of_all(found):
+    if found.names_nothing_sure:
         return unsure(found.doubtful, _fails(found), misfit(found.train.models[-1]))
     sure = [candidate.id for candidate in found.added if not candidate.confusable_with]
     laws = {e.id for e in found.final.model.effects if isinstance(e, FormulaForce)}
@@ -378,12 +384,6 @@ def _named(found: Improvement) -> str:
     little = of_little_service(first, last, counted, found.diagnoses[0].policy, trained)
     constants = stands_for([i for c in found.added for i in (c.id, *c.confusable_with)], found.base.model)
     return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(found.doubtful)}{constants}"
-
-
-def _unsure_of_all(found: Improvement) -> bool:
-    """Return whether the last fit, far from the data, tells none of what was added from nothing, and no test calls it adequate."""
-    far = misfit(found.train.models[-1]) > FAR
-    return far and found.mended != "adequate" and {c.id for c in found.added} <= set(found.doubtful)
 
 
 def _in_time(found: Improvement) -> str:

@@ -130,6 +130,10 @@ def _found(told: _Told) -> str:
     inside = f"Was missing, and is in the model now: {named}"
     verdict, whole = told.verdict, loop is not None and bool(named)
     said = _first(
+        (
+            loop is not None and loop.names_nothing_sure,
+            f"What is missing is not known: {named} was named, and the last fit does not tell it from nothing",
+        ),
         (told.late, f"The model fails; missing, and not added before the time was over: {named}"),
         (verdict == "adequate" and whole, f"{inside}; nothing more is missing {last.floor}{in_time}"),
         (verdict == "adequate", f"Nothing is missing from the model {last.floor}{in_time}"),

@@ -74,6 +74,8 @@ def test_what_a_fit_far_from_the_data_does_not_tell_from_nothing_is_not_said_to_
     found = dataclasses.replace(found, train=Comparison(tuple(compared(m.label, left) for m in found.train.models)))
     assert ("flexible_mode was missing" in found.headline) is not said
     assert ("what is missing is not known: flexible_mode was named" in found.headline) is said
+    first = of_diagnosis(found, found.train, found.validation, file="rig.h5").found
+    assert first.startswith("What is missing is not known: flexible_mode") is said
 
 
 def test_a_group_is_named_as_a_group():

@@ -61,7 +61,7 @@ def _static(effect: Force | DryFriction, curve: ForceCurve, at: Curve) -> Curve 
         if against:
             known[_MOVING[curve.port]] = -1.0  # so that the force along the motion is minus its level
         speed = known[_MOVING[curve.port]]
-        motion = Motion(**known, sin_angle=np.sin(known["arm_angle"]), cos_angle=np.cos(known["arm_angle"]), body=None)  # type: ignore[arg-type] - no static force asks for the body
+        motion = Motion(**known, sin_angle=np.sin(known["arm_angle"]), cos_angle=np.cos(known["arm_angle"]), body=None)  # type: ignore[arg-type] - a force that asks for the body is refused below
         try:
             if isinstance(effect, DryFriction):
                 force = -np.asarray(effect.levels(motion, ())[port]) * np.sign(speed)

@@ -19,7 +19,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from rtac_jax.measurement.plan import Plan
 
-from ._effects import BUILDERS, DRY, Batch, friction_bound
+from ._dry_friction import DRY, friction_bound
+from ._effects import BUILDERS, Batch
 from ._rig import Rig
 
 _HOLD = 1e-3  # random forces are held for about this long [s]

@@ -1,5 +1,6 @@
 """Frequency responses of every condition without a model: best linear approximation, noise and distortion apart."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ from scipy.signal.windows import hann
 
 from estimators.frequency_response.angle_reconstruction import arm_angles
 from estimators.frequency_response.batched_local_polynomial import local_responses
+from estimators.frequency_response.feedback import feedback
 from estimators.frequency_response.local_polynomial import LocalFit, VanishingError, one_by_one
 from estimators.frequency_response.periodic import Lines, periodic_response, repeated_input
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
@@ -89,11 +91,13 @@ def frequency_responses(
     groups = _groups(recording, realisations)
     turned = arm_angles(recording, [n for names in groups.values() for n in names], angles, model) if compensate else {}
     ready: dict[str, Lines | _Spectra] = {}
+    answers: dict[str, float] = {}
     for name in dict.fromkeys(n for names in groups.values() for n in names):
         experiment = recording[name]
         into, out = _signals(experiment, input, output, discard)
         theta = turned.get(name)
         x = into if theta is None else into * _between(np.cos(theta))[discard:]
+        answers[name] = feedback(into, x, out, held=experiment.inputs[input].intersample == "zoh")
         repeats = period is not None and repeated_input(x, period) is not None
         if method == "periodic" or (method is None and repeats):
             ready[name] = _periodic(experiment, x, out, period, into, degree, band)
@@ -108,7 +112,7 @@ def frequency_responses(
         rms = float(np.sqrt(np.mean([np.mean(recording[n].inputs[input].values[discard:] ** 2) for n in names])))
         one = _condition(condition, each, rms, start if angle is None else angle, compensate, (input, output))
         check_shown(one)
-        found.append(one)
+        found.append(dataclasses.replace(one, feedback=max(answers[name] for name in names)))
     return FrequencyResponses(tuple(found))
 
 
@@ -130,12 +134,15 @@ def condition_responses(
     found: dict[str, FrequencyResponse | ValueError] = {}
     ready: dict[str, _Spectra] = {}
     angles: dict[str, np.ndarray] = {}
+    answers: dict[str, float] = {}
     for name in names:
         experiment = recording[name]
         try:
             angles |= arm_angles(recording, [name])
             into, out = _signals(experiment, "current", "cart_position", 0)
-            ready[name] = _spectra(experiment, into * _between(np.cos(angles[name])), out, into, None, frequency)
+            x = into * _between(np.cos(angles[name]))
+            answers[name] = feedback(into, x, out, held=experiment.inputs["current"].intersample == "zoh")
+            ready[name] = _spectra(experiment, x, out, into, None, frequency)
         except ValueError as error:
             found[name] = error
     for width in sorted(set(half_width.values())):
@@ -157,7 +164,7 @@ def condition_responses(
                 angle = float(np.mean(angles[name]))
                 one = _condition(name, each, rms, angle, True, ("current", "cart_position"))
                 check_shown(one)
-                found[name] = one
+                found[name] = dataclasses.replace(one, feedback=answers[name])
             except ValueError as error:
                 found[name] = error
     return {name: found[name] for name in names}

@@ -13,6 +13,7 @@ from estimators.core.result_base import Result
 from rtac_jax.overview import Overview
 
 Curve = Float64[np.ndarray, " frequency"]
+_SHOWN = 6  # names in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,8 @@ class FrequencyResponse:
         input_rms: [unit of the input].
         arm_angle: mean over the experiment, or at its start [rad]; None where nothing tells.
         compensated: whether cos(theta) is part of the input.
+        feedback: fraction of what is new in the output that the input answers [1], as a controller in the loop makes it; zero
+            where that may be chance.
     """
 
     name: str
@@ -48,6 +51,7 @@ class FrequencyResponse:
     compensated: bool
     input: str = "current"
     output: str = "cart_position"
+    feedback: float = 0.0
 
     def frd(self) -> ct.FrequencyResponseData:
         """Return the response as python-control's `FRD`."""
@@ -139,6 +143,21 @@ class FrequencyResponses(Result):
                     f"give those from {into} times cos(theta) to {out}."
                 )
 
+    def remarks(self) -> list[str]:
+        """Return what no standard deviation counts: conditions whose input follows the noise of the output."""
+        fed_back = {one.name: one.feedback for one in self if one.feedback > 0}
+        if not fed_back:
+            return []
+        others = f" and {len(fed_back) - _SHOWN} more" if len(fed_back) > _SHOWN else ""
+        named = f"{', '.join(list(fed_back)[:_SHOWN])}{others}"
+        return [
+            f"The input answers the noise of the output, as with a controller in the loop ({named}; up to "
+            f"{100 * max(fed_back.values()):.0f} % of what is new in the output): where noise makes much of the input a response "
+            "tends to that of the controller, inverted, which no standard deviation counts. Play the input open loop, or take the "
+            "responses of linear models with a model of the noise, which allow feedback: est.prediction_error(..., "
+            'structure="box_jenkins").'
+        ]
+
     def frd(self) -> list[ct.FrequencyResponseData]:
         """Return the responses as python-control's `FRD`, one for each condition."""
         return [one.frd() for one in self.conditions]
@@ -167,7 +186,7 @@ class FrequencyResponses(Result):
             rows.append(
                 f"{one.name:16s} {len(one.frequency):5d} {band:>16s} {one.input_rms:10.3g} {angle:>11s} {fraction:8.2f}"
             )
-        return "\n".join(rows)
+        return "\n".join([*rows, *self.remarks()])
 
     def plot(self) -> Any:
         """Draw magnitude and phase of all conditions, with their uncertainty."""

@@ -27,6 +27,7 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 _MOST_MODES = 3  # that a search tries
+_APART = 1e-6  # of the square of a free combination, below which what is not of the noise has no part in it
 _FREE = 1e-12  # eigenvalue of the scaled information, relative to the largest, below which a combination is free
 
 
@@ -270,7 +271,9 @@ def _models(
     for i, (name, (raw, mask, angle)) in enumerate(zip(names, sides, strict=True)):
         count = len(raw.output)
         colour = whitened(error[i, :count])
-        covariance, free = _covariance(error[i, :count], jacobian[i, :count], mask, colour, structure)
+        covariance, free, idle = _covariance(error[i, :count], jacobian[i, :count], mask, colour, structure)
+        # An input that is held shows one sample later at the earliest.
+        first = int(raw.intersample == "zoh" and structure.zeros < 2 * structure.modes)
         at = Unknown(structure, stage.theta[i], covariance, Scale(*(part[i] for part in scales)))
         values, slope = at.quantities()
         poles, poles_std, zeros, zeros_std = at.roots()
@@ -289,11 +292,12 @@ def _models(
                 undetermined=free, converged=bool(stage.converged[i]),
                 fpe=float(fpe[i]), aic=float(aic[i]), bic=float(bic[i]),
                 residuals=residual_test(
-                    error[i, :count], raw.input, here, jacobian[i, :count], colour, noise_parameters=structure.noise
+                    error[i, :count], raw.input, here, jacobian[i, :count], colour, noise_parameters=structure.noise,
+                    first=first,
                 ),
                 output=np.where(mask, raw.output, np.nan), simulated=np.asarray(shown.simulated)[i, :count],
                 noise_states=np.asarray(shown.noise)[i, :count], signal=raw.input, sample_time=raw.interval,
-                arm_angle=angle, compensated=compensated, channels=channels, unknowns=at,
+                arm_angle=angle, compensated=compensated, channels=channels, unknowns=at, idle=idle,
             )
         )  # fmt: skip
     return tuple(found)
@@ -305,8 +309,8 @@ def _covariance(
     present: Any,
     colour: Colour,
     structure: Structure,
-) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
-    """Return the covariance of the unknowns, and the number of their combinations that the data leave free.
+) -> tuple[Float[np.ndarray, "unknown unknown"], int, int]:
+    """Return the covariance of the unknowns, and how many of their combinations the data leave free: of G, and of H alone.
 
     For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression (`whitened`). With a
     model of the noise the errors are white, but not where samples are missing: a prediction across a gap is off by more, and
@@ -316,18 +320,22 @@ def _covariance(
     size = np.where(size > 1e-12 * np.max(size), size, np.inf)  # without any effect: nothing else depends on it
     values, vectors = np.linalg.eigh((jacobian / size).T @ (jacobian / size))
     kept = values > _FREE * values[-1]
+    begins, count = structure.dynamics, structure.count
+    of_noise = np.r_[begins : begins + structure.noise, count - structure.noise_starts : count]
+    idle = int(np.sum(np.sum(vectors[of_noise][:, ~kept] ** 2, axis=0) > 1 - _APART))
+    free = int(np.sum(~kept)) - idle
     half = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
     bread = half @ half.T
     freedom = float(np.sum(present)) - structure.count
     if structure.noise and np.all(present):
-        return bread * float(np.sum(error**2)) / freedom, int(np.sum(~kept))
+        return bread * float(np.sum(error**2)) / freedom, free, idle
     if structure.noise:
         meat, _ = long_run_covariance((jacobian * error[:, None])[None])
-        return bread @ meat @ bread * float(np.sum(present)) / freedom, int(np.sum(~kept))
+        return bread @ meat @ bread * float(np.sum(present)) / freedom, free, idle
     whitening, variance = colour
     rows = backward_coloured(jacobian, whitening)
     factor = variance * len(error) / freedom
-    return factor * bread @ (rows.T @ rows) @ bread, int(np.sum(~kept))
+    return factor * bread @ (rows.T @ rows) @ bread, free, idle
 
 
 def _labels(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -180,18 +180,23 @@ class Equality:
 
     @property
     def verdict(self) -> str:
-        """Return the verdict in words: equal or not, which quantity drifts, and with what."""
+        """Return the verdict in words: equal or not, which quantity drifts, and with what; and how many were left out."""
+        without = [f"{len(self.left_out)} of {len(self.conditions) + len(self.left_out)} were left out."] * bool(
+            self.left_out
+        )
         if self.equal:
-            return (
+            same = (
                 f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "
                 f"(p = {self.p_value:.2g})."
             )
+            return " ".join([same, *without])
         return " ".join(
             [
                 f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g}).",
                 *self._differing(),
                 *self._left(),
                 *([self.outlying.words] if self.outlying is not None else []),
+                *without,
             ]
         )
 

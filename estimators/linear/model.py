@@ -36,7 +36,7 @@ class LinearModel:
         static_gain, static_gain_std: G(0).
         noise_numerator, noise_denominator: C and D of H in powers of q^-1.
         innovation_std: standard deviation of e, in the output's unit.
-        undetermined: number of combinations of unknowns that the data leave free.
+        undetermined: number of combinations of unknowns, of G among them, that the data leave free.
         converged: whether the fit came to rest.
         fpe, aic, bic: Akaike's final prediction error [unit of the output squared] and criterion, and the Bayesian one.
         residuals: tests of the prediction errors.
@@ -48,6 +48,7 @@ class LinearModel:
         compensated: whether cos(theta) is part of the input.
         channels: names of input and output.
         unknowns: the fitted point of the model set.
+        idle: number of combinations of the noise model's unknowns alone that the data leave free, as a pole on a zero.
     """
 
     name: str
@@ -80,6 +81,7 @@ class LinearModel:
     compensated: bool
     channels: tuple[str, str]
     unknowns: "Unknown"
+    idle: int = 0
 
     @property
     def std(self) -> Float[np.ndarray, " quantity"]:
@@ -183,6 +185,8 @@ class LinearModel:
         said = self.residuals.verdict(self.structure.noise > 0)
         if self.undetermined:
             said += f"; the data leave {self.undetermined} combination(s) of unknowns free: {self.fewer} would do"
+        elif self.idle:
+            said += "; noise_order is higher than the noise needs, which leaves G as it is"
         elif not self.converged:
             said += "; the fit did not come to rest, so compare it with another start"
         if self.undamped:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.signal
 import scipy.stats
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from estimators.core.correlation import LEVEL, autocovariance, quantile, whiteness
 from estimators.linear.initialisation import autoregression
@@ -15,6 +15,7 @@ Colour = tuple[Float[np.ndarray, " order"], float]
 
 _DETERMINED = 1e-7  # singular value of the scaled Jacobian, below which a combination of parameters was not fitted
 _LONGEST = 20  # order of the autoregression that stands for the colour of the errors
+_FED_BACK = 1e-4  # probability of an input that seems to follow the errors by chance, below which it is said
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +28,12 @@ class ResidualTest:
         cross_correlation: with the input, at lags 0, 1, 2, ... samples [1].
         cross_band: the same if the errors are independent of the input, whatever their colour; one for each lag.
         white_p: probability of autocorrelations as large by chance, all lags together.
-        cross_p: the same for the cross-correlations.
+        cross_p: the same for the cross-correlations; without lag 0 where an input that is held cannot show in the same sample.
         feedback_correlation: with the input 1, 2, ... samples later [1], at negative lags: where the input follows the errors,
-            as in a closed loop. No test counts it.
+            as in a closed loop. No test of the model counts it.
         feedback_band: of those.
+        feedback_p: probability of correlations as large by chance where the input does not follow the errors; of the negative
+            lags, and of lag 0 where the test of the model leaves that out.
     """
 
     autocorrelation: Float[np.ndarray, " lag"]
@@ -41,6 +44,7 @@ class ResidualTest:
     cross_p: float
     feedback_correlation: Float[np.ndarray, " lag"]
     feedback_band: Float[np.ndarray, " lag"]
+    feedback_p: float = 1.0
 
     @property
     def white(self) -> bool:
@@ -52,8 +56,24 @@ class ResidualTest:
         """Return whether independence of the input stands at 1 %."""
         return self.cross_p >= LEVEL
 
+    @property
+    def fed_back(self) -> bool:
+        """Return whether the input follows the errors, as a controller in the loop makes it."""
+        return self.feedback_p < _FED_BACK
+
     def verdict(self, noise_modelled: bool) -> str:
         """Return the outcome in words, with what to do."""
+        said = self._of_model(noise_modelled)
+        if not self.fed_back:
+            return said
+        needs = (
+            "which a right model of the noise allows"
+            if noise_modelled
+            else "which needs a model of the noise (box_jenkins)"
+        )
+        return f"{said}; the input follows the errors, as with a controller in the loop, {needs}; frequency_responses are off there"
+
+    def _of_model(self, noise_modelled: bool) -> str:
         if not self.independent:
             return (
                 "the errors still hold a response to the input, so G lacks dynamics or the plant is not linear: raise modes, or "
@@ -75,6 +95,7 @@ def residual_test(
     *,
     noise_parameters: int,
     lags: int = 25,
+    first: int = 0,
 ) -> ResidualTest:
     """Compute Ljung and Box's test of whiteness, and a quadratic form in the cross-correlations.
 
@@ -90,6 +111,8 @@ def residual_test(
         colour: of the error, by `whitened`.
         noise_parameters: of H, which cost degrees of freedom.
         lags: largest lag [samples].
+        first: least lag at which the model's output answers the input: 1 where that is held and G has no feedthrough. What
+            shows before can only be feedback.
 
     Source: Ljung, System Identification (1999), section 16.6; Ljung and Box, Biometrika 65 (1978).
     """
@@ -111,10 +134,9 @@ def residual_test(
     # The variance was taken over all samples, of which those that are missing have no error.
     variance = innovation * len(error) / max(count - span.shape[1], 1.0) * coloured.T @ coloured
     size = np.sqrt(np.sum(error**2) * np.sum(signal**2))
-    values, vectors = np.linalg.eigh(variance[: lags + 1, : lags + 1])
-    kept = values > 1e-6 * values[-1]
-    parts = (vectors[:, kept].T @ cross[: lags + 1]) ** 2 / values[kept]
-    cross_p = float(scipy.stats.chi2.sf(np.sum(parts), int(np.sum(kept))))
+    forward = np.arange(first, lags + 1)
+    cross_p = _chance(cross, variance, forward)
+    feedback_p = _chance(cross, variance, np.setdiff1d(np.arange(2 * lags + 1), forward))
     cross, band = cross / size, quantile() * np.sqrt(np.diagonal(variance)) / size
     return ResidualTest(
         own.autocorrelation,
@@ -125,7 +147,18 @@ def residual_test(
         cross_p,
         cross[lags + 1 :],
         band[lags + 1 :],
+        feedback_p,
     )
+
+
+def _chance(
+    cross: Float[np.ndarray, " lag"], variance: Float[np.ndarray, "lag lag"], which: Int[np.ndarray, " some"]
+) -> float:
+    """Return the probability of correlations as large as these by chance, all together."""
+    values, vectors = np.linalg.eigh(variance[np.ix_(which, which)])
+    kept = values > 1e-6 * values[-1]
+    parts = (vectors[:, kept].T @ cross[which]) ** 2 / values[kept]
+    return float(scipy.stats.chi2.sf(np.sum(parts), int(np.sum(kept))))
 
 
 def whitened(error: Float[np.ndarray, " sample"]) -> Colour:

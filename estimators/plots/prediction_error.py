@@ -86,7 +86,9 @@ def plot_equality(found: Equality) -> Picture:
     ):
         trend = found.best_trend(name) if name in found.drifting else None
         if trend is None:
-            x, words = np.arange(1, len(found.conditions) + 1, dtype=float), _WORDS["time"]
+            # As in the order of time, conditions that are left out keep their number.
+            number = np.arange(1, len(found.conditions) + 1, dtype=float)
+            x, words = found.covariates.get("time", number), _WORDS["time"]
         else:
             x, words = found.covariates[trend.covariate], _WORDS.get(trend.covariate, trend.covariate)
         if words == _WORDS["time"]:

@@ -200,6 +200,7 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
             "and with it cos(theta)."
         )
     said += _near_ninety_degrees(used)
+    said += used.responses.remarks()
     said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
     return said
 

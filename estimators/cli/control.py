@@ -9,7 +9,7 @@ from estimators.cli.captions import shown
 from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
 from estimators.cli.job import job
 from estimators.cli.limits import TorqueLimit, positive
-from estimators.cli.models import any_fit, fitted_to
+from estimators.cli.models import any_fit, seen
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 from estimators.cli.report_page import write_json, write_report
 from rtac_jax.measurement.atomic_write import replacing
@@ -66,14 +66,24 @@ def control(
         )  # fmt: skip
         split = covered, apart = sides(made.covered)
         if work.held_out is not None and not apart:
-            only = ", ".join(work.held_out.names)
-            work.split_said = (
-                f"Held out of the nonlinear fit: {only}. The envelope covers all conditions: {', '.join(covered)}."
+            known = seen(fit, work.held_out)
+            unknown = ", ".join(name for name in work.held_out.names if name not in known)
+            work.split_said = " ".join(
+                [
+                    *([f"Held out of the nonlinear fit: {unknown}."] if unknown else []),
+                    *(
+                        [f"The fit was made of {', '.join(known)} too, so its error there is too good."]
+                        if known
+                        else []
+                    ),
+                    f"The envelope covers all conditions: {', '.join(covered)}.",
+                ]
             )
-        whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."
+        whose = f"It was fitted to {'the same' if seen(fit, work.recording) else 'another'} recording."
         trained, tested = work.compared(fit)
         errors, parameters = _tables.error_table(trained, tested), _tables.parameter_table(fit)
-        fitted = fitted_in_envelope(fit.model, made.covered, with_spring=with_arm_spring(fit.model, made.actuation))
+        sprung = with_arm_spring(fit.model, made.actuation)
+        fitted = fitted_in_envelope(fit.model, made.covered, with_spring=sprung, std=_deviations(fit))
         work.save(made, save)
         doubt = _does_not_follow(tested or trained)
         said, honest, loops = (
@@ -139,6 +149,10 @@ def _does_not_follow(compared: Any) -> list[str]:
         f"The model does not follow this recording: of the fit of its simulation there is {each}. A controller is tried on a rig "
         "that this one is not; fit the model to it first."
     ]
+
+
+def _deviations(fit: Any) -> dict[str, float]:
+    return {name: p.std for name, p in fit.parameters.items() if name in fit.information.names}
 
 
 def _save_mat(path: Path, content: dict[str, Any]) -> None:

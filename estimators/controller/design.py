@@ -38,6 +38,8 @@ PLANTS = 2000  # in each batch
 SOONER = 2 / 3  # of the time without a controller, within which a plant has to settle
 Curve = Float[np.ndarray, " frequency"]
 _SHORTEST, _LONGEST = 8.0, 64.0  # s, of a simulation
+_FARTHEST = 1.0  # m, beyond which a displacement is taken for millimetres
+_TOLD = 0.5  # standard deviation over estimate from which an interval of 95 % holds zero
 _ANGLE = 1e-3  # rad, noise of an angle that the recording does not have
 
 
@@ -77,11 +79,15 @@ def control(
         torque_limit: of the motor [N m].
 
     Raises:
-        ValueError: the envelope is of another kind or of other responses, or for every envelope: it is too wide at the
-            resonance for any damping, the problem is infeasible, the sampled loop is not stable, or the closed loop
-            with the fitted model runs away.
+        ValueError: a displacement in another unit, or the envelope is of another kind or of other responses, or for every
+            envelope: it is too wide at the resonance for any damping, the problem is infeasible, the sampled loop is not
+            stable, or the closed loop with the fitted model runs away.
         RuntimeError: `rtac_jax.configure()` was not called.
     """
+    if not 0 < displacement < _FARTHEST:
+        raise ValueError(
+            f"displacement: is {displacement:g} m; give metres between 0 and {_FARTHEST:g}, such as 0.015."
+        )
     envelopes = [covered] if isinstance(covered, Envelope) else list(covered)
     _check(envelopes, responses)
     model = fit.model
@@ -132,6 +138,7 @@ def control(
     plants = _off(model)
     inside = plants_inside(best.covered, model, actuation, off=OFF, count=PLANTS)
     printed = mixed_sensitivity(paper_nominal(), paper_weights())
+    doubt, nothing = _doubt(fit)
     return ControlDesign(
         covered=best.covered, units=units, actuation=actuation, weights=best.weights, synthesis=best.synthesis,
         reduction=best.reduction, margins=margins(best.synthesis.nominal, best.recursion, best.weights),
@@ -139,7 +146,7 @@ def control(
         displacement=displacement, within=SOONER * (alone if np.isfinite(alone) else duration), free=free,
         closed=best.closed, off=loop(plants, best.recursion), off_free=loop(plants, None),
         drawn=loop(_drawn(fit), best.recursion), inside=None if inside is None else loop(inside, best.recursion),
-        doubt=_doubt(fit), inside_free=None if inside is None else loop(inside, None),
+        doubt=doubt, nothing=nothing, farthest=fit.farthest, inside_free=None if inside is None else loop(inside, None),
         printed_bound=(printed.bound, printed.bound_frequency),
     )  # fmt: skip
 
@@ -222,9 +229,18 @@ def _off(model: RTAC, seed: int = 0) -> RTAC:
     )
 
 
-def _doubt(fit: Fit) -> float:
-    values = np.array([float(fit.model[name]) for name in fit.information.names])
-    return float(np.max(np.sqrt(np.diagonal(fit.information.own_covariance)) / np.maximum(np.abs(values), 1e-300)))
+def _doubt(fit: Fit) -> tuple[float, tuple[str, ...]]:
+    """Return the largest standard deviation as a fraction of its parameter, and the names of those not told from nothing.
+
+    A fraction of what may be nothing says nothing.
+    """
+    std = np.sqrt(np.diagonal(fit.information.own_covariance))
+    fractions = {
+        name: float(s / max(abs(float(fit.model[name])), 1e-300))
+        for name, s in zip(fit.information.names, std, strict=True)
+    }
+    told = [fraction for fraction in fractions.values() if fraction < _TOLD]
+    return max(told, default=0.0), tuple(name for name, fraction in fractions.items() if fraction >= _TOLD)
 
 
 def _drawn(fit: Fit, seed: int = 0) -> RTAC:
@@ -235,5 +251,5 @@ def _drawn(fit: Fit, seed: int = 0) -> RTAC:
     std = np.sqrt(np.diagonal(covariance))  # the correlations are drawn, as the sizes differ by many decades
     unit = random.multivariate_normal(np.zeros(len(names)), covariance / np.outer(std, std), PLANTS, method="eigh")
     rows: Float[np.ndarray, "plant parameter"] = middle + std * unit
-    kept = np.where(rows * np.sign(middle) > 0, rows, middle)  # no spring or friction changes its sign
+    kept = np.abs(rows) * np.sign(middle)  # no spring or friction changes its sign
     return fit.model.with_values({name: kept[:, i] for i, name in enumerate(names)})

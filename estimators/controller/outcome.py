@@ -7,6 +7,7 @@ import control as ct
 import numpy as np
 
 from estimators.core.drawing import draw
+from estimators.core.fit import FAR
 from estimators.core.result_base import Result
 from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
 from estimators.uncertainty.envelope import Envelope
@@ -45,7 +46,9 @@ class ControlDesign(Result):
         free, closed: the fitted model without and with the controller, and with the noise of the recording's sensors.
         off, drawn: batches of 2,000 plants, with every parameter up to 15 % off, and drawn from the covariance of the fit.
         inside: a batch of plants of the envelope, as `plants_inside` draws them; None where it holds none that the model can be.
-        doubt: the largest standard deviation of any parameter of the fit, as a fraction of it [1].
+        doubt: the largest standard deviation of any parameter that the fit tells from nothing, as a fraction of it [1].
+        nothing: parameters that the fit does not tell from nothing.
+        farthest: largest residual of the fit over its noise [1].
         off_free, inside_free: the plants of these batches without a controller.
         printed_bound: the least gamma that the weights printed in the paper allow, and where [rad/s].
     """
@@ -70,6 +73,8 @@ class ControlDesign(Result):
     off_free: ClosedLoop
     inside_free: ClosedLoop | None
     printed_bound: tuple[float, float]
+    nothing: tuple[str, ...] = ()
+    farthest: float = 0.0
 
     shares = renamed("shares", "fractions")
 
@@ -123,9 +128,11 @@ def outcome(found: ControlDesign) -> list[str]:
         f"within {found.within:.2f} s, two thirds of what the fitted model takes alone, and keep the arm in its half of the circle "
         f"({_without(found.off_free, found.within)}{_astray(found.off)})."
     )
+    beside = f" but {', '.join(found.nothing)}, not told from nothing," if found.nothing else ""
+    count, held = len(found.drawn.peak_torque), _percent(fractions["parameter_covariance"])
     third = (
-        f"Of {len(found.drawn.peak_torque)} plants drawn from the covariance of the fit, in which no free parameter has a standard "
-        f"deviation above {100 * found.doubt:.2g} %, {_percent(fractions['parameter_covariance'])} do{_astray(found.drawn)}."
+        f"Of {count} plants drawn from the covariance of the fit, in which no free parameter{beside} has a standard deviation "
+        f"above {100 * found.doubt:.2g} %, {held} do{_astray(found.drawn)}."
     )
     if found.inside is None:
         fourth = "No plant with parameters near the fitted ones was found in the envelope."
@@ -135,7 +142,7 @@ def outcome(found: ControlDesign) -> list[str]:
             f"as the envelope asks, {_percent(fractions['envelope'])} do "
             f"({_without(found.inside_free, found.within)}{_astray(found.inside)})."
         )
-    said = [first, f"{second} {third} {fourth}"]
+    said = [first, *_astray_model(found), f"{second} {third} {fourth}"]
     if not now < _USEFUL * alone:
         resonance = _resonance(found)
         width = float(np.max(np.abs(found.covered.weight(1j * resonance))))
@@ -208,6 +215,16 @@ def _without(free: ClosedLoop | None, within: float) -> str:
     return f"without a controller {_percent(fraction)} do" + (
         ", so this says little of it" if fraction > _ANYWAY else ""
     )
+
+
+def _astray_model(found: ControlDesign) -> list[str]:
+    """Say where the fitted model is not the rig's, so that what a controller does for it need not hold there."""
+    if found.farthest <= FAR:
+        return []
+    return [
+        f"But the fitted model does not follow the rig, being left at {found.farthest:,.0f} times the noise: times, fractions "
+        "and what the controller gains are that model's. Ask est.diagnose what it lacks before the controller is tried."
+    ]
 
 
 def _astray(batch: ClosedLoop) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Complex128, Float64
 
 from estimators.uncertainty.plant_set import PlantSet, evaluate
 from estimators.uncertainty.uncertainty_structures import Kind, errors
@@ -47,6 +47,30 @@ def cover(
     shape = lift(shape, up)
     profile = np.maximum(_profile(found, np.ones(len(held), dtype=bool), model, kind, found.omega), floor)
     return shape, float(np.exp(up)), profile
+
+
+def needed(
+    found: PlantSet, model: ct.TransferFunction, weight: ct.TransferFunction, kind: Kind
+) -> Float64[np.ndarray, " condition"]:
+    """Return the largest |Delta| that each plant needs: on the grid, and of parametric plants between its points, too."""
+
+    def at(
+        plants: Complex128[np.ndarray, "condition frequency"], omega: Curve
+    ) -> Float64[np.ndarray, "condition frequency"]:
+        return np.abs(errors(plants, evaluate([model], omega)[0], kind)) / np.abs(evaluate([weight], omega)[0])
+
+    on_grid = np.max(at(found.plants, found.omega), axis=1)
+    if found.systems is None:
+        return on_grid
+    dense = _filled(found.omega, _DENSE)
+    for i, system in enumerate(found.systems):
+        omega = _with_modes(dense, found._replace(systems=(system, weight)), model)
+        size = at(evaluate([system], omega), omega)[0]
+        worst = int(np.argmax(size))
+        beside = np.log(omega[[max(worst - 1, 0), min(worst + 1, len(omega) - 1)]])
+        closer = np.exp(np.linspace(*beside, 2 * _CLOSER))
+        on_grid[i] = max(on_grid[i], size[worst], float(np.max(at(evaluate([system], closer), closer))))
+    return on_grid
 
 
 def _shortfall(

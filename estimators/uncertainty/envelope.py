@@ -15,7 +15,7 @@ from estimators.core.progress import Progress
 from estimators.core.result_base import Result
 from estimators.uncertainty.attribution import Attribution, attribute
 from estimators.uncertainty.coverage import Coverage, held_out_coverage, scenario_coverage
-from estimators.uncertainty.covering_weight import cover
+from estimators.uncertainty.covering_weight import cover, needed
 from estimators.uncertainty.nominal_model import NOMINAL_STEPS, log_measure, nominal_fit
 from estimators.uncertainty.plant_set import PlantSet, Responses, evaluate, gather, require_stable
 from estimators.uncertainty.uncertainty_structures import KINDS, Kind, corners, errors, packed
@@ -76,14 +76,15 @@ class Envelope(Result):
         return np.abs(evaluate([self.weight], self.frequency if omega is None else omega)[0])
 
     def distance(self, responses: Responses, omega: Curve | None = None) -> Float64[np.ndarray, " condition"]:
-        """Return the largest |Delta| that each plant needs, over the frequencies; at most 1 for those inside.
+        """Return the largest |Delta| that each plant needs, over the band; at most 1 for those inside.
+
+        Parametric systems are looked at between the frequencies of the grid, too.
 
         Raises:
             ValueError: as `envelope` does for its responses.
         """
         found = _representable(responses, self.frequency if omega is None else omega, self.kind)
-        model_error = np.abs(errors(found.plants, self.nominal_response(found.omega), self.kind))
-        return np.max(model_error / self.weight_magnitude(found.omega), axis=1)
+        return needed(found, self.nominal, self.weight, self.kind)
 
     def covers(self, responses: Responses, omega: Curve | None = None) -> Bool[np.ndarray, " condition"]:
         """Return whether each plant lies inside at every frequency."""
@@ -214,6 +215,8 @@ def envelope(
         raise ValueError(
             f"responses: a plant is zero at a frequency, where a {kind} model error has no size; use kind='additive'."
         )
+    if std is not None and std.shape != found.plants.shape:
+        raise ValueError(f"std: has shape {std.shape}; give one for each response, {found.plants.shape}.")
     weightings = np.ones(len(found.omega)) if importance is None else importance
     if weightings.shape != found.omega.shape or not np.all(weightings > 0):
         raise ValueError(f"importance: give {len(found.omega)} positive factors, one for each frequency.")
@@ -234,6 +237,16 @@ def envelope(
     measure = log_measure(found.omega)
     above = _DECIBEL * (shape.log_magnitude(found.omega) - np.log(profile))
     excess = float(measure @ above)
+    lifted = _DECIBEL * float(np.log(raised))
+    if held.any() and excess > within_db >= excess - lifted:
+        worst = found.names[
+            int(np.argmax(np.where(held, needed(found, model, ct.tf(*shape.coefficients()), chosen), 0.0)))
+        ]
+        raise ValueError(
+            f"held_out: {worst} lies {raised:.2g} times outside the weight of those that were fitted, which lifts it by "
+            f"{lifted:.1f} dB at all frequencies, to {excess:.1f} dB above the profile where within_db = {within_db:g}; fit it "
+            "too, leave it out, or raise within_db."
+        )
     if excess > within_db:
         raise ValueError(
             f"order_weight: a weight of order {order_weight} covers the profile only {excess:.1f} dB above it on average, more "

@@ -1,6 +1,6 @@
 """The fitted physical model beside an envelope: inside or outside, and whether the nominal model resonates where it does."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,7 @@ _OTHERWISE = (
     "which has no dry friction, is not what was recorded. Ask `diagnose` what it lacks, and check the gains and delays of its "
     "drive and sensors."
 )
+_TOLD = 2.0  # standard deviations from nothing, as in an interval of 95 %
 _PROMINENT = 3.0  # dB by which a mode stands out of the curve: half of the power
 _ELSEWHERE = 1.2  # ratio of frequencies from which on a peak is another mode
 _POINTS = 2000
@@ -98,7 +99,9 @@ class FittedInEnvelope:
         return [f"{said}.", self.remedy]
 
 
-def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | None = None) -> FittedInEnvelope:
+def fitted_in_envelope(
+    model: RTAC, found: Envelope, *, with_spring: Response | None = None, std: Mapping[str, float] | None = None
+) -> FittedInEnvelope:
     """Hold the fitted model, linearised about theta = 0, against an envelope.
 
     Args:
@@ -106,6 +109,7 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
         found: an envelope of responses from current times cos(theta) to cart position.
         with_spring: response of the model with the electric spring on the arm, by frequency [rad/s], where the envelope is of
             conditions with it; by default that of the model alone is held against the envelope.
+        std: standard deviations of the parameters, by name: dry friction that they do not tell from nothing is none.
 
     Raises:
         ValueError: as `rtac_jax.linearise`.
@@ -123,7 +127,12 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
     )
     peak_db = float(own.max() - size.max())
     at_rest = tuple(jnp.zeros(len(model.states)))
-    dry = any(float(np.max(level)) > 0 for levels in friction_levels(model, at_rest) for level in levels)
+    none = {
+        name: 0.0
+        for name, s in (std or {}).items()
+        if model.parameters[name].null == 0 and float(model[name]) < _TOLD * s
+    }
+    dry = any(float(np.max(x)) > 0 for levels in friction_levels(model.with_values(none), at_rest) for x in levels)
     return FittedInEnvelope(
         omega, fitted, float(model_error[at]), float(omega[at]), peak_db, resonance, spurious,
         (_DRY if dry else _OTHERWISE) if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance),

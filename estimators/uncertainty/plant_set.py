@@ -1,5 +1,6 @@
 """A set of plants, wherever they come from, as complex numbers on one grid of frequencies."""
 
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from estimators.frequency_response.response import FrequencyResponses
 System = ct.FrequencyResponseData | ct.StateSpace | ct.TransferFunction
 Responses = FrequencyResponses | Sequence[System] | Complex128[np.ndarray, "condition frequency"]
 
+_COUNTED = re.compile(r"sys\[\d+\](\$\w+)?")
 _DEFECTIVE = 1e10  # condition of the eigenvectors beyond which they are not used
 
 
@@ -50,10 +52,12 @@ def gather(responses: Responses, omega: Any) -> PlantSet:
     elif isinstance(responses, np.ndarray):
         if omega is None or np.shape(omega) != responses.shape[1:]:
             raise ValueError(f"omega: give the {responses.shape[1]} frequencies [rad/s] of the responses.")
+        if not np.any(np.imag(responses)):
+            raise ValueError("responses: are all real, as magnitudes are; give complex responses, with their phase.")
         names = tuple(f"condition_{number + 1}" for number in range(len(responses)))
         grid, plants = np.asarray(omega, dtype=np.float64), responses
     else:
-        names = tuple(str(getattr(one, "name", None) or f"condition_{i + 1}") for i, one in enumerate(responses))
+        names = tuple(_name_of(one, f"condition_{i + 1}") for i, one in enumerate(responses))
         each: list[Any] = list(responses)
         for name, one in zip(names, each, strict=True):
             if one.ninputs != 1 or one.noutputs != 1:
@@ -79,6 +83,12 @@ def gather(responses: Responses, omega: Any) -> PlantSet:
         bad = names[int(np.argmax(~np.isfinite(plants).all(axis=1)))]
         raise ValueError(f"{bad}: has a response that is not finite; leave the condition or the frequency out.")
     return PlantSet(names, grid, plants, std, amplitude, systems)
+
+
+def _name_of(system: System, numbered: str) -> str:
+    """Return the name that somebody gave to a system, or its number, where the name is but python-control's own count."""
+    name = str(getattr(system, "name", None) or "")
+    return numbered if not name or _COUNTED.fullmatch(name) else name
 
 
 def require_stable(found: PlantSet) -> None:

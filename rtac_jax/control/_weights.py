@@ -137,6 +137,11 @@ def propose_weights(
     width = float(np.abs(finite_response(weight, np.array([resonance]), "uncertainty"))[0])
     aimed = max(damping / (damping + abs(residue) * gain), _LEAST)
     sensitivity = max(aimed, 1.0 - (_AIM / max(width, _AIM)) ** 2)
+    if aimed > _MOST:
+        raise ValueError(
+            f"a torque of {torque_limit:.3g} adds no damping that counts from a displacement of {displacement:.3g}, both in the "
+            "nominal plant's units; start from a smaller displacement, or allow more torque."
+        )
     if sensitivity > _MOST:
         raise ValueError(
             f"the uncertainty weight is {width:.3g} at the resonance of {resonance:.3g} rad/s, so wide that no damping can be "

@@ -1,12 +1,12 @@
 """Simulate inputs that are given as arrays: no recording, no outputs."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rtac_jax._numbers import Number
 from rtac_jax._rtac import RTAC
 from rtac_jax._run import run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
@@ -19,14 +19,14 @@ from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.programs.arrays import is_traced
 from rtac_jax.time_loop import room_for
 
-Input = Sequence[Any] | np.ndarray | Array
+Input = Sequence[Number] | np.ndarray | Array
 
 
 @checked_arguments
 def simulate_inputs(
     model: RTAC,
     *,
-    sample_time: Any,
+    sample_time: Number,
     current: Input | None = None,
     disturbance_force: Input | None = None,
     samples: int | None = None,

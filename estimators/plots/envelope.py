@@ -221,7 +221,7 @@ def _draw_sources(axes: Axes, envelope: Envelope) -> None:
     axes.legend(fontsize=SMALL, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
-def _shown(envelope: Envelope, rows: Complex128[np.ndarray, "condition frequency"]) -> list[tuple[Response, bool]]:
+def _shown(envelope: Envelope, rows: np.ndarray) -> list[tuple[np.ndarray, bool]]:
     """Return some of many rows, spread over all."""
     step = max(1, len(rows) // _MOST_LINES)
     return [(rows[i], bool(envelope.held_out[i])) for i in range(0, len(rows), step)]

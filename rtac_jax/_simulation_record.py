@@ -42,7 +42,7 @@ def simulation_of(
     states: Float[Array | np.ndarray, "sample state experiment"],
     outputs: Outputs,
     column: int,
-    time: Samples,
+    time: Float[Array | np.ndarray, " part"],
 ) -> Simulation:
     """Return one experiment of several, for as many samples as it has times [s]."""
     xp = np if isinstance(states, np.ndarray) else jnp

@@ -14,10 +14,7 @@ from estimators.cli.report_page import write_json, write_report
 from estimators.validation.trace import colour_of
 
 if TYPE_CHECKING:
-    from estimators.core.fit import Fit
-    from estimators.prediction_error.fit import PredictorFit
     from estimators.validation.simulation_error import Compared, Comparison
-    from rtac_jax import RTAC
 
 Models = Annotated[
     list[Path] | None,
@@ -132,7 +129,7 @@ def _where(compared: "Compared", rows: list[dict[str, Any]], against: "Compariso
     )
 
 
-def _parameters(fit: "RTAC | Fit | PredictorFit") -> Any:
+def _parameters(fit: Any) -> Any:
     """Return a table of the parameters; of a model without deviations."""
     from estimators.reporting.html import Table
     from estimators.reporting.tables import parameter_table

@@ -59,7 +59,7 @@ def plot_prediction_error(found: LinearModels, omega: Float[np.ndarray, " freque
     return figure
 
 
-def _correlations(left: Axes, right: Any, found: LinearModels) -> None:
+def _correlations(left: Axes, right: Axes, found: LinearModels) -> None:
     """Draw the correlations in units of the 99 % band of each condition."""
     for one in found:
         tests = one.residuals

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from rtac_jax._numbers import State
@@ -243,7 +242,7 @@ def _check(*, positive: dict[str, float], others: dict[str, float]) -> None:
             raise ValueError(f"{name} is {value}, but must be {kind} and finite.")
 
 
-def _plants(model: RTAC, displacement: ArrayLike, arm_angle: ArrayLike) -> int:
+def _plants(model: RTAC, displacement: float | np.ndarray, arm_angle: float | np.ndarray) -> int:
     """Return the number of plants that run side by side."""
     shapes = {name: np.shape(model[name]) for name in model.parameters}
     shapes |= {"displacement": np.shape(displacement), "arm_angle": np.shape(arm_angle)}

@@ -75,7 +75,7 @@ def kalman(
     physical: Physical,
     *,
     sensor_variance: Float[Array, "output experiment"],
-    process: tuple[Any, Any],
+    process: tuple[Float[Array, ""], Float[Array, ""]],
     start_variance: Float[Array, "start experiment"],
     substeps: Steps,
 ) -> tuple[Filtered, Linearised]:
@@ -261,7 +261,7 @@ def _shaken(
     state: State,
     current: Array | float,
     spread: Array,
-    process: tuple[Any, Any],
+    process: tuple[Float[Array, ""], Float[Array, ""]],
     pushes: tuple[Array, Array],
     interval: Array,
 ) -> Float[Array, " experiment"]:

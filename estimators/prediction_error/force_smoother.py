@@ -20,8 +20,6 @@ from rtac_jax.time_loop import time_loop
 
 Kept = TypeVar("Kept")
 
-Scalar = Float[Array, ""]
-
 _ABREAST = 16  # experiments, each with a force of its own size, that are filtered at once: more at once take longer
 
 
@@ -138,8 +136,8 @@ def _filter(
     data: Data,
     gain: Array,
     size: Array,
-    correlation_time: Scalar,
-    swing: Scalar,
+    correlation_time: Float[Array, ""],
+    swing: Float[Array, ""],
     keep_of: Callable[[_Filtered], Kept],
 ) -> Kept:
     """Filter the prediction errors with the two forces as further states, and return of every sample what is kept.
@@ -199,8 +197,8 @@ def likelihoods(
     data: Data,
     gain: Array,
     sizes: Array,
-    correlation_time: Scalar,
-    swing: Scalar,
+    correlation_time: Float[Array, ""],
+    swing: Float[Array, ""],
 ) -> Array:
     """Return the log-likelihood of all outputs for each pair of sizes of the two forces, [trial port]."""
     return jax.lax.map(
@@ -215,8 +213,8 @@ def smoothed(
     data: Data,
     gain: Array,
     size: Array,
-    correlation_time: Scalar,
-    swing: Scalar,
+    correlation_time: Float[Array, ""],
+    swing: Float[Array, ""],
 ) -> tuple[Array, Array]:
     """Return mean and variance of the two forces, [sample port experiment].
 

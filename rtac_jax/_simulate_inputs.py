@@ -1,6 +1,7 @@
 """Simulate inputs that are given as arrays: no recording, no outputs."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +20,7 @@ from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.programs.arrays import is_traced
 from rtac_jax.time_loop import room_for
 
-Input = Sequence[Number] | np.ndarray | Array
+Input = Sequence[Any] | np.ndarray | Array
 
 
 @checked_arguments

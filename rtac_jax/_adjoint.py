@@ -88,13 +88,23 @@ def _states(driven: Driven, samples: Array, substeps: Array, *, room: int, most:
 
 
 @_states.def_jvp
-def _states_jvp(primals: Any, tangents: Any, *, room: int, most: int) -> tuple[Array, Array]:
+def _states_jvp(
+    primals: tuple[Driven, Array, Array], tangents: tuple[Any, ...], *, room: int, most: int
+) -> tuple[Array, Array]:
     driven, samples, substeps = primals
     path = _states(driven, samples, substeps, room=room, most=most)
     return path, eqxi.filter_primitive_bind(_tangents_p, tangents[0], driven, path, samples, substeps, most)
 
 
-def _onward(model: RTAC, state: Array, current: Any, force: Any, frame: Excitation, begin: Any, substeps: Any) -> Array:
+def _onward(
+    model: RTAC,
+    state: Array,
+    current: Array | None,
+    force: Array | None,
+    frame: Excitation,
+    begin: Array,
+    substeps: Array,
+) -> Array:
     """Take one Runge-Kutta step, with the states as one array."""
     now, push = (None if x is None else tuple(x) for x in (current, force))
     step = frame.sample_time / substeps
@@ -108,7 +118,7 @@ def _tangents(direction: Driven, driven: Driven, path: Array, samples: Array, su
     def one_sample(change: Array, row: Any) -> tuple[Array, Array]:
         at, powers, d_powers = row
 
-        def one_step(k: Any, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        def one_step(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             state, change = carry
             return eqx.filter_jvp(
                 lambda model, state, powers, frame: _onward(
@@ -143,23 +153,23 @@ def _gradients(
     signals = eqx.filter((driven.current, driven.force), (wanted.current, wanted.force))
     still = eqx.filter((driven.model, driven.frame), (wanted.model, wanted.frame))
 
-    def pulled(k: Any, weight: Array) -> tuple[Array, Any, Any]:
+    def pulled(k: Array, weight: Array) -> tuple[Array, Any, Any]:
         """Weights of the state at sample k, and gradients of what acts between it and the next, from the weights there."""
         powers = jax.tree.map(lambda x: x[k], (driven.current, driven.force))
         some_powers = jax.tree.map(lambda x: x[k], signals)
 
-        def step(state: Array, still: Any, some_powers: Any, j: Any) -> Array:
+        def step(state: Array, still: Any, some_powers: Any, j: Array) -> Array:
             model, frame = eqx.combine(still, (driven.model, driven.frame))
             current, force = eqx.combine(some_powers, powers)
             return _onward(model, state, current, force, frame, j / substeps, substeps)
 
-        def ahead(j: Any, passed: Array) -> Array:
+        def ahead(j: Array, passed: Array) -> Array:
             return passed.at[j + 1].set(step(passed[j], still, some_powers, j))
 
         passed = jnp.zeros((most, *path.shape[1:]), path.dtype).at[0].set(path[k])
         passed = jax.lax.fori_loop(0, substeps - 1, ahead, passed)
 
-        def back(i: Any, carry: tuple[Array, Any, Any]) -> tuple[Array, Any, Any]:
+        def back(i: Array, carry: tuple[Array, Any, Any]) -> tuple[Array, Any, Any]:
             weight, *gradients = carry
             j = substeps - 1 - i
             _, pull = jax.vjp(lambda at, still, powers: step(at, still, powers, j), passed[j], still, some_powers)
@@ -169,7 +179,7 @@ def _gradients(
         zeros = jax.tree.map(jnp.zeros_like, (still, some_powers))
         return jax.lax.fori_loop(0, substeps, back, (without_denormals(weight), *zeros))
 
-    def one_sample(i: Any, carry: tuple[Array, Any, Any]) -> tuple[Array, Any, Any]:
+    def one_sample(i: Array, carry: tuple[Array, Any, Any]) -> tuple[Array, Any, Any]:
         weight, of_still, of_signals = carry
         k = samples - 2 - i
         weight, more, of_powers = pulled(k, weight)
@@ -196,7 +206,7 @@ def _tangents_transpose(primals: tuple[Any, ...], weights: Array) -> tuple[Any, 
     return gradients, *jax.tree.map(lambda _: None, (driven, path, samples, substeps, most))
 
 
-def _is_linear(x: Any) -> bool:
+def _is_linear(x: object) -> bool:
     return isinstance(x, ad.UndefinedPrimal)
 
 

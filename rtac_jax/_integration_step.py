@@ -4,6 +4,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from rtac_jax._numbers import Number, State
 from rtac_jax._rigid_body import RIGID_STATES
 from rtac_jax._rtac import RTAC
 from rtac_jax._since import Since, through
@@ -24,13 +25,13 @@ def needs_beginning(model: RTAC) -> bool:
     return any(effect.closed or isinstance(effect, Impact) for effect in model.effects)
 
 
-def beginning(model: RTAC, state: tuple[Any, ...], current: Any, step: Any, last: Any) -> Since:
+def beginning(model: RTAC, state: State, current: Number, step: Number, last: Number) -> Since:
     """Return the beginning of a step of this length [s], with the currents at its beginning and its end [A]."""
     motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), current, model.body)
     return Since(motion, step, last, 0.0)
 
 
-def slide(model: RTAC, state: tuple[Any, ...]) -> tuple[Any, Any]:
+def slide(model: RTAC, state: State) -> tuple[Any, Any]:
     """Return the directions in which cart and arm slide at the start of a step."""
     if not any(isinstance(effect, DryFriction) for effect in model.effects):
         return 0.0, 0.0
@@ -38,7 +39,7 @@ def slide(model: RTAC, state: tuple[Any, ...]) -> tuple[Any, Any]:
 
 
 def stop(
-    model: RTAC, before: tuple[Any, ...], after: tuple[Any, ...], current: Any, step: Any, arm_free: Any, cart_free: Any
+    model: RTAC, before: State, after: State, current: Number, step: Number, arm_free: Number, cart_free: Number
 ) -> tuple[Any, ...]:
     """Return the state after a step, mended where cart or arm came to rest on the way or was at rest before.
 
@@ -64,7 +65,7 @@ def stop(
     return brought_to_rest(before, after, step, levels, mobility(model, sincos(before[2])[1], arm_free, cart_free))
 
 
-def settle(model: RTAC, after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
+def settle(model: RTAC, after: State, since: Since, arm_free: Number, cart_free: Number) -> tuple[Any, ...]:
     """Return the state after a step, with the states that have a closed form, and with what happens at once.
 
     Args:

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 from rtac_jax.parameters import Scalar, parameter
 
 _TABLE_1 = "paper, Table 1(c)"
@@ -62,7 +63,7 @@ class RigidBody(eqx.Module):
             )
 
     @classmethod
-    def as_fitted(cls, **values: Any) -> "RigidBody":
+    def as_fitted(cls, **values: Number) -> "RigidBody":
         """Return a body whose eccentric moment may be larger than its inertia allows, as a fit where something is missing ends.
 
         Args:
@@ -85,7 +86,7 @@ class RigidBody(eqx.Module):
         """Return the natural frequency sqrt(k / (M+m)) [rad/s]."""
         return jnp.sqrt(self.spring_stiffness / self.total_mass)
 
-    def energy(self, cart_position: Any, cart_velocity: Any, arm_angle: Any, arm_velocity: Any) -> Any:
+    def energy(self, cart_position: Number, cart_velocity: Number, arm_angle: Number, arm_velocity: Number) -> Any:
         """Return kinetic and spring energy [J]."""
         kinetic_cart = 0.5 * self.total_mass * cart_velocity**2
         kinetic_arm = 0.5 * self.arm_inertia * arm_velocity**2
@@ -93,5 +94,5 @@ class RigidBody(eqx.Module):
         return kinetic_cart + kinetic_arm + exchange + 0.5 * self.spring_stiffness * cart_position**2
 
 
-def _is_concrete(value: Any) -> bool:
+def _is_concrete(value: object) -> bool:
     return isinstance(value, jnp.ndarray) and not hasattr(value, "_trace") and hasattr(value, "__array__")

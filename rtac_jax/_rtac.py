@@ -2,7 +2,7 @@
 
 import functools
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from rtac_jax._model_structure import declared_of, places_of, with_fixed
 from rtac_jax._model_tables import overview_of, table_of
+from rtac_jax._numbers import Number
 from rtac_jax._rigid_body import RIGID_STATES, RigidBody
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.constants import require_constants
@@ -173,7 +174,7 @@ class RTAC(eqx.Module):
         owner, _, field = name.rpartition(".")
         return getattr(self.effects[self.ids.index(owner)] if owner else self.body, field)
 
-    def with_values(self, values: Mapping[str, Any]) -> "RTAC":
+    def with_values(self, values: Mapping[str, Number | Sequence[Number]]) -> "RTAC":
         """Return the model with other values of some parameters; values may be traced, or one for each experiment."""
         if not values:
             return self
@@ -240,7 +241,7 @@ class RTAC(eqx.Module):
 
 # A model holds arrays of the precision in which it was made.
 @functools.lru_cache(maxsize=16)
-def _paper_parts(moves: frozenset[str], precision: Any) -> "RTAC":
+def _paper_parts(moves: frozenset[str], precision: Hashable) -> "RTAC":
     """Return the paper's model with the friction of what moves."""
     with jax.ensure_compile_time_eval():  # or a model that is made within a function under `jit` would keep its tracers
         paper = RTAC.paper()

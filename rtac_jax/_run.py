@@ -2,13 +2,13 @@
 
 import operator
 from collections.abc import Sequence
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from rtac_jax._adjoint import differentiable_states
+from rtac_jax._numbers import Number
 from rtac_jax._rtac import RTAC
 from rtac_jax._substeps_traced import substeps_traced
 from rtac_jax.equations import state_at_start
@@ -21,7 +21,7 @@ _STABILITY = 0.5  # step times fastest rate; a classic Runge-Kutta step then err
 
 
 def whole_starts(
-    model: RTAC, starts: Sequence[Any], names: Sequence[str], excitation: Excitation
+    model: RTAC, starts: Sequence[Sequence[Number] | np.ndarray | Array], names: Sequence[str], excitation: Excitation
 ) -> Float[Array | np.ndarray, "state experiment"]:
     """Return every state at the start from four numbers, or all of them, for each experiment.
 

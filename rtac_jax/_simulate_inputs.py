@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rtac_jax._numbers import Number
 from rtac_jax._rtac import RTAC
 from rtac_jax._run import run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
@@ -26,7 +27,7 @@ Input = Sequence[Any] | np.ndarray | Array
 def simulate_inputs(
     model: RTAC,
     *,
-    sample_time: Any,
+    sample_time: Number,
     current: Input | None = None,
     disturbance_force: Input | None = None,
     samples: int | None = None,

@@ -1,7 +1,6 @@
 """The record that a simulation returns."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,7 +38,11 @@ class Simulation(eqx.Module):
 
 
 def simulation_of(
-    model: RTAC, states: Float[Array | np.ndarray, "sample state experiment"], outputs: Outputs, column: int, time: Any
+    model: RTAC,
+    states: Float[Array | np.ndarray, "sample state experiment"],
+    outputs: Outputs,
+    column: int,
+    time: Float[Array | np.ndarray, " part"],
 ) -> Simulation:
     """Return one experiment of several, for as many samples as it has times [s]."""
     xp = np if isinstance(states, np.ndarray) else jnp

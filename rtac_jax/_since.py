@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from rtac_jax.effects import Actuator, Motion
+from rtac_jax.effects._interface import States
 
 
 class Since(NamedTuple):
@@ -25,7 +26,7 @@ class Since(NamedTuple):
         return motion._replace(began=self.motion, elapsed=self.elapsed, step=self.step, last=self.last)
 
 
-def through(effect: Actuator, motion: Motion, before: tuple[Any, ...], now: tuple[Any, ...]) -> Motion:
+def through(effect: Actuator, motion: Motion, before: States, now: States) -> Motion:
     """Return the motion with the currents after an actuator stage, now and at both ends of the step."""
     current = effect.current(motion.current, now)
     if motion.began is None:

@@ -4,17 +4,20 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array
+
+from rtac_jax._numbers import Number, State
 
 # Cart and arm hand each other at most the square of their coupling, about 1 %, so three sweeps agree to 1e-6.
 _SWEEPS = 3
 
 
 def brought_to_rest(
-    before: tuple[Any, ...],
-    after: tuple[Any, ...],
-    step: Any,
-    levels: Sequence[tuple[Any, Any]],
-    mobility: tuple[Any, Any, Any],
+    before: State,
+    after: State,
+    step: Number,
+    levels: Sequence[tuple[Number, Number]],
+    mobility: tuple[Number, Number, Number],
 ) -> tuple[Any, ...]:
     """Return the state after a step, mended where cart or arm came to rest; see `stop`.
 
@@ -49,7 +52,7 @@ def brought_to_rest(
     return (position, velocity, angle, arm_velocity, *rest)
 
 
-def _never(level: Any) -> bool:
+def _never(level: object) -> bool:
     return isinstance(level, float) and level == 0.0
 
 
@@ -67,7 +70,7 @@ class _Stop(NamedTuple):
     held: Any
 
 
-def _stopped(started: Any, arrived: Any, most: Any) -> _Stop:
+def _stopped(started: Number, arrived: Number, most: Number) -> _Stop:
     """Return the correction of a step of dry friction whose velocity vanishes, with other forces constant over it.
 
     Args:
@@ -89,5 +92,5 @@ def _stopped(started: Any, arrived: Any, most: Any) -> _Stop:
     return _Stop(way * change, way * shift, resting & ~slides)
 
 
-def _share(part: Any, whole: Any) -> Any:
+def _share(part: Number, whole: Number) -> Array:
     return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 0.0)

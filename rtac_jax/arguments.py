@@ -55,13 +55,13 @@ def _members(annotation: Any) -> tuple[Any, ...]:
     return get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
 
 
-def _is_own(member: Any) -> bool:
+def _is_own(member: object) -> bool:
     """Return whether it is a class of these packages, of which one can ask whether an object is of it."""
     own = isinstance(member, type) and not get_args(member) and member.__module__.partition(".")[0] in _OWN
     return own and not getattr(member, "_is_protocol", False)
 
 
-def _fits(value: Any, one: tuple[type, ...], several: tuple[type, ...]) -> bool:
+def _fits(value: object, one: tuple[type, ...], several: tuple[type, ...]) -> bool:
     if isinstance(value, one):
         return True
     if not several or isinstance(value, str | bytes | Mapping) or not isinstance(value, collections.abc.Iterable):

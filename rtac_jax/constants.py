@@ -1,14 +1,15 @@
 """Constants of a rig that are known beforehand: which there are, and which sizes no rig has."""
 
 from collections.abc import Mapping
-from typing import Any
+
+from rtac_jax._model_tables import Parameters
 
 # How far a known constant may be from the paper's, up or down. A rig as large as a building has 10^9 times the inertia;
 # beyond this, what is squared and divided in a fit overflows.
 FARTHEST = 1e15
 
 
-def require_constants(model: Any, rig: Mapping[str, float]) -> None:
+def require_constants(model: Parameters, rig: Mapping[str, float]) -> None:
     """Refuse constants that a model does not have, and values that no rig has.
 
     Args:

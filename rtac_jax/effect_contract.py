@@ -112,7 +112,7 @@ def _require_numbers(model: RTAC, batch: bool) -> None:
 def _require_methods(c: type[Effect], effect: Effect, several: tuple[int]) -> None:
     """Call every method of an effect on so many trajectories."""
 
-    def called(method: str, *arguments: Any) -> Any:
+    def called(method: str, *arguments: object) -> Any:
         told = explained(
             c, method, lambda: eqx.filter_eval_shape(lambda e, given: getattr(e, method)(*given), effect, arguments)
         )
@@ -207,7 +207,7 @@ def _line(c: type[Effect], error: BaseException) -> str:
     return f" ({Path(file).name}, line {lines[-1]})" if lines else ""
 
 
-def _require_number(c: type[Effect], method: str, told: Any) -> None:
+def _require_number(c: type[Effect], method: str, told: object) -> None:
     try:
         good = bool(np.isfinite(np.asarray(told, dtype=float)).all())
     except (TypeError, ValueError):
@@ -228,7 +228,7 @@ def _require_shapes(effect: Effect, several: tuple[int], method: str, told: tupl
             )
 
 
-def _require_finite(effect: Effect, method: str, arguments: Any) -> None:
+def _require_finite(effect: Effect, method: str, arguments: tuple[Any, ...]) -> None:
     """Refuse a method that is no number, or has no slope, where cart and arm stand still at zero, as every rest record does."""
     still = jax.tree.map(lambda x: x if np.ndim(x) == 0 else jnp.zeros_like(x), arguments)
     still = tuple(x._replace(cos_angle=jnp.ones_like(x.cos_angle)) if isinstance(x, Motion) else x for x in still)

@@ -3,6 +3,10 @@
 import dataclasses
 from typing import Any
 
+import numpy as np
+from jaxtyping import Array
+
+from rtac_jax._numbers import Number, State
 from rtac_jax._rigid_body import RIGID_STATES
 from rtac_jax._rtac import RTAC
 from rtac_jax._since import Since, through
@@ -16,12 +20,12 @@ _PORTS = ("on the cart", "on the arm")
 
 def derivative(
     model: RTAC,
-    state: tuple[Any, ...],
-    current: Any,
-    force: Any,
-    arm_free: Any = 1.0,
-    cart_free: Any = 1.0,
-    way: tuple[Any, Any] = (0.0, 0.0),
+    state: State,
+    current: Number,
+    force: Number,
+    arm_free: Number = 1.0,
+    cart_free: Number = 1.0,
+    way: tuple[Number, Number] = (0.0, 0.0),
     since: Since | None = None,
 ) -> tuple[Any, ...]:
     """Return the time derivative of the state: equations (1) and (2) with the effects.
@@ -82,7 +86,7 @@ def derivative(
     return result
 
 
-def mobility(model: RTAC, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
+def mobility(model: RTAC, cosine: Number, arm_free: Number, cart_free: Number) -> tuple[Any, Any, Any]:
     """Return the inverse of the mass matrix: accelerations by a unit force and a unit torque.
 
     Returns:
@@ -98,7 +102,7 @@ def mobility(model: RTAC, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[A
     return cart_free * scale * inertia, -scale * exchange, arm_free * scale * mass
 
 
-def friction_levels(model: RTAC, state: tuple[Any, ...], current: Any = 0.0) -> list[tuple[Any, Any]]:
+def friction_levels(model: RTAC, state: State, current: Number = 0.0) -> list[tuple[Any, Any]]:
     """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any.
 
     Args:
@@ -117,7 +121,7 @@ def friction_levels(model: RTAC, state: tuple[Any, ...], current: Any = 0.0) -> 
     return [effect.levels(motion, own[effect.id]) for effect in rubbing]
 
 
-def sensor_outputs(model: RTAC, state: tuple[Any, ...]) -> Outputs:
+def sensor_outputs(model: RTAC, state: tuple[Array | np.ndarray, ...]) -> Outputs:
     """Return the outputs of the sensors in a state."""
     shown = Outputs(state[0], state[3], state[2])
     own = own_states(model, state)
@@ -146,7 +150,7 @@ def dead_time(model: RTAC) -> Any:
     return sum((effect.dead_time() for effect in model.effects if isinstance(effect, Input)), start=0.0)
 
 
-def state_at_start(model: RTAC, rigid: tuple[Any, Any, Any, Any], current: Any) -> tuple[Any, ...]:
+def state_at_start(model: RTAC, rigid: tuple[Array, Array, Array, Array], current: Number) -> tuple[Any, ...]:
     """Return the whole state at the start, from the rigid body's [m, m/s, rad, rad/s] and the current [A]."""
     state = tuple(rigid)
     if not any(effect.states for effect in model.effects):
@@ -157,7 +161,7 @@ def state_at_start(model: RTAC, rigid: tuple[Any, Any, Any, Any], current: Any) 
     return state
 
 
-def own_states(model: RTAC, state: tuple[Any, ...]) -> dict[str, tuple[Any, ...]]:
+def own_states(model: RTAC, state: tuple[Array | np.ndarray, ...]) -> dict[str, tuple[Any, ...]]:
     """Return the states of each effect, by its id."""
     own, at = {}, len(RIGID_STATES)
     for effect in model.effects:

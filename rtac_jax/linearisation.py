@@ -169,7 +169,7 @@ def _equilibrium(model: RTAC, arm_angle: float) -> tuple[np.ndarray, float]:
     moving = np.array([0, *range(4, count)])  # what rest leaves open besides the current
     residual = np.array([1, 3, *range(4, count)])
 
-    def state(unknown: Any) -> Array:
+    def state(unknown: np.ndarray) -> Array:
         return jnp.zeros(count).at[2].set(arm_angle).at[moving].set(unknown[1:])
 
     def slope(unknown: np.ndarray) -> np.ndarray:

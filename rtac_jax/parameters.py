@@ -2,13 +2,15 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from rtac_jax._numbers import Number
 
 if TYPE_CHECKING:
     Scalar = Any  # constructors take numbers too and convert them, which type checkers cannot see
@@ -104,17 +106,17 @@ def parameter(
     return eqx.field(converter=as_value, metadata={_KEY: declared}, **extra)
 
 
-def as_value(value: Any) -> Array:
+def as_value(value: Number | Sequence[Number]) -> Array:
     """Return a value of a parameter as an array of JAX; it may be traced."""
     # A number by way of NumPy, in half the time: studies make models by the thousand.
     return jnp.asarray(np.float64(value)) if isinstance(value, int | float) else jnp.asarray(value, dtype=float)
 
 
-def declarations(module: Any) -> dict[str, Declaration]:
+def declarations(module: object) -> dict[str, Declaration]:
     """Return the declared parameters of a module or of its class, by field name, in order of declaration."""
     return dict(_declared(module if isinstance(module, type) else type(module)))
 
 
 @functools.cache
-def _declared(module: Any) -> dict[str, Declaration]:
+def _declared(module: type) -> dict[str, Declaration]:
     return {field.name: field.metadata[_KEY] for field in dataclasses.fields(module) if _KEY in field.metadata}

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rtac_jax._integration_step import beginning, integrated, needs_beginning, settle, slide, stop
+from rtac_jax._numbers import Number, State
 from rtac_jax._rtac import RTAC
 from rtac_jax._sincos import sincos
 from rtac_jax.equations import delivered, derivative, mobility, sensor_outputs
@@ -17,7 +18,6 @@ from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
 from rtac_jax.time_loop import time_loop
 
-State = tuple[Any, ...]
 Steps = int | Int[Array, ""]
 """A number of steps; an array compiles once for all numbers."""
 
@@ -47,8 +47,8 @@ def equations_of(model: RTAC) -> RTAC:
 def advance(
     model: RTAC,
     state: State,
-    current: Sequence[Any] | None,
-    force: Sequence[Any] | None,
+    current: Sequence[Number] | None,
+    force: Sequence[Number] | None,
     excitation: Excitation,
     *,
     substeps: Steps,
@@ -67,7 +67,7 @@ def advance(
     """
     step = excitation.sample_time / substeps
 
-    def one(k: Any, at: State) -> State:
+    def one(k: Array, at: State) -> State:
         begin = k / substeps
         return runge_kutta(
             model, at, current, force, excitation, step=step, begin=begin, substeps=substeps, unrolled=unrolled
@@ -81,12 +81,12 @@ def advance(
 def runge_kutta(
     model: RTAC,
     state: State,
-    current: Sequence[Any] | None,
-    force: Sequence[Any] | None,
+    current: Sequence[Number] | None,
+    force: Sequence[Number] | None,
     excitation: Excitation,
     *,
-    step: Any,
-    begin: Any,
+    step: Number,
+    begin: Number,
     substeps: Steps,
     unrolled: bool = False,
 ) -> State:
@@ -109,7 +109,7 @@ def runge_kutta(
         began = beginning(model, state, at_first, step, _polynomial(current, begin + 1.0 / substeps))
     places = integrated(model)
 
-    def slope(at: State, elapsed: Any) -> State:
+    def slope(at: State, elapsed: Number) -> State:
         """Return the rates of what is integrated, when this fraction of the step has gone by."""
         fraction = begin + elapsed / substeps
         rates = derivative(
@@ -125,14 +125,14 @@ def runge_kutta(
         # An effect of one's own may return whole numbers, or others of single precision.
         return tuple(jnp.broadcast_to(jnp.asarray(rates[p], state[p].dtype), state[p].shape) for p in places)
 
-    def along(rates: State, length: Any) -> State:
+    def along(rates: State, length: Number) -> State:
         """Return the state so long [s] after the beginning of the step, at these rates."""
         at = list(state)
         for place, rate in zip(places, rates, strict=True):
             at[place] = state[place] + length * rate
         return tuple(at)
 
-    def stage(carry: tuple[State, State], row: Any) -> tuple[tuple[State, State], None]:
+    def stage(carry: tuple[State, State], row: tuple[Array, Array]) -> tuple[tuple[State, State], None]:
         (last, total), (elapsed, weight) = carry, row
         rates = slope(along(last, elapsed * step), elapsed)
         return (rates, tuple(x + weight * dx for x, dx in zip(total, rates, strict=True))), None
@@ -153,7 +153,7 @@ def runge_kutta(
     return after if end is None else settle(model, after, end, excitation.arm_free, excitation.cart_free)
 
 
-def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
+def _polynomial(coefficients: Sequence[Number] | None, fraction: Number) -> Any:
     if coefficients is None:
         return 0.0
     value = coefficients[-1]

@@ -1,11 +1,16 @@
 """A scan whose length the compiler does not know, so that recordings of many lengths run the same compiled code."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Int
+
+Carry = TypeVar("Carry")
+Row = TypeVar("Row")
+Shown = TypeVar("Shown")
 
 _SHORTEST = 64
 SHORT = 4096
@@ -24,8 +29,13 @@ def room_for(samples: int) -> int:
 
 
 def time_loop(
-    step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any, *, room: int, samples: Any
-) -> tuple[Any, Any]:
+    step: Callable[[Carry, Row], tuple[Carry, Shown]],
+    carry: Carry,
+    rows: Row,
+    *,
+    room: int,
+    samples: int | Int[Array, ""],
+) -> tuple[Carry, Shown]:
     """Scan as `jax.lax.scan` does, over the first `samples` of the rows; all other results are zero.
 
     Forward derivatives only. What is shown in arrays of one shape is kept in one array: of two of them XLA for processors
@@ -41,10 +51,10 @@ def time_loop(
     # Traced once, for its shape, for the body of the loop, and for each round in which JAX looks for what has derivatives.
     step = jax.jit(step)
 
-    def row_at(k: Any) -> Any:
+    def row_at(k: Array) -> Any:
         return jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), rows)
 
-    def onward(k: Any, at: tuple[Any, Any]) -> tuple[Any, Any]:
+    def onward(k: Array, at: tuple[Any, Any]) -> tuple[Any, Any]:
         carry, shown = at
         carry, new = step(carry, row_at(k))
         leaves = jax.tree.leaves(new)

@@ -1,6 +1,10 @@
 """Captions of the figures in the reports of `rtac`."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DIAGNOSIS = (
     "The bars: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
@@ -32,7 +36,7 @@ def without_limits(explanation: str) -> str:
     return f"{before}{table}{' ' if rest else ''}{rest}"
 
 
-def shown(figures: dict[str, Any], **captions: str) -> list[Any]:
+def shown(figures: "Mapping[str, Figure]", **captions: str) -> list[Any]:
     """Return figures with their captions, in the order of the captions; of what was not drawn none."""
     from estimators.reporting.html import Shown
 

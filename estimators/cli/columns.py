@@ -3,9 +3,12 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimators.cli.refusals import WRONG_USE, stop
+
+if TYPE_CHECKING:
+    from rtac_jax.measurement import Experiment
 
 MAT = ".mat"
 _TIME = "time"
@@ -122,7 +125,7 @@ class Columns:
             found[key] = {n: wanted[key][n] for n in kept} if isinstance(wanted[key], dict) else kept
         return found
 
-    def table(self, experiment: Any, scale: Mapping[str, float]) -> str:
+    def table(self, experiment: "Experiment", scale: Mapping[str, float]) -> str:
         """Return what was understood: column, unit, factor and range of every channel."""
         import numpy as np
 

@@ -1,7 +1,7 @@
 """`rtac compare`: one model, or several, against measurement."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,9 @@ from estimators.cli.options import Effects, File, Json, Out, Validation
 from estimators.cli.refusals import WRONG_USE, stop
 from estimators.cli.report_page import write_json, write_report
 from estimators.validation.trace import colour_of
+
+if TYPE_CHECKING:
+    from estimators.validation.simulation_error import Compared, Comparison
 
 Models = Annotated[
     list[Path] | None,
@@ -115,7 +118,7 @@ def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple
     return fits, labels
 
 
-def _where(compared: Any, rows: list[dict[str, Any]], against: Any, *, several: bool) -> str:
+def _where(compared: "Compared", rows: list[dict[str, Any]], against: "Comparison", *, several: bool) -> str:
     own = [row for row in rows if row["model"] == compared.label]
     worst = compared.worst(1)[0]
     white = sum(colour_of(row["whiteness_p"]) == "white" for row in own)

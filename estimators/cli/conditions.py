@@ -2,13 +2,16 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from estimators.cli.job import Job
 from estimators.cli.options import option
 from estimators.cli.refusals import WRONG_USE, stop
+
+if TYPE_CHECKING:
+    from estimators.uncertainty.envelope import Envelope
 
 _IMPORTANCE = (0.5, 1.0)  # powers of the responses' size by which P0 for `control` keeps closest where they are large
 WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]
@@ -63,7 +66,7 @@ def enveloped(
     return used, found
 
 
-def sides(found: Any) -> tuple[list[str], list[str]]:
+def sides(found: "Envelope") -> tuple[list[str], list[str]]:
     """Return the conditions that were fitted, and those held out."""
     pairs = list(zip(found.names, found.held_out, strict=True))
     return [name for name, held in pairs if not held], [name for name, held in pairs if held]

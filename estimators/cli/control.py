@@ -1,7 +1,7 @@
 """`rtac control`: from many operating conditions to a controller."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,9 @@ from estimators.cli.models import any_fit, seen
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 from estimators.cli.report_page import write_json, write_report
 from rtac_jax.measurement.atomic_write import replacing
+
+if TYPE_CHECKING:
+    from estimators.validation.simulation_error import Comparison
 
 _FOLLOWS = 50.0  # fit [%] below which a simulation goes its own way
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
@@ -139,7 +142,7 @@ def control(
         write_report(work, title, figures, sections, split=split, summary=bullets, traces=tested or trained)
 
 
-def _does_not_follow(compared: Any) -> list[str]:
+def _does_not_follow(compared: "Comparison") -> list[str]:
     """Say where a model, as one of another rig, leaves more than half of what was measured."""
     far = {c: e for c, e in compared.models[-1].errors.items() if e.fit_percent < _FOLLOWS}
     if not far:

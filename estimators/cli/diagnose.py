@@ -1,7 +1,7 @@
 """`rtac diagnose`: what is missing."""
 
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
 from estimators.cli.doubts import warn
@@ -12,6 +12,10 @@ from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 from estimators.cli.report_page import write_json, write_report
 from estimators.cli.waiting import time_for
+
+if TYPE_CHECKING:
+    from estimators.core.fit import Fit
+    from estimators.diagnosis.diagnosis import Diagnosis
 
 
 def diagnose(
@@ -104,7 +108,7 @@ def diagnose(
             )
 
 
-def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
+def _refitted(work: Job, base: "Fit", found: "Diagnosis") -> tuple[list[Any], list[str]]:
     """Return the base model and, where effects were added, the fit with them by simulation, with labels.
 
     What a simulation cannot fit is held at the diagnosis's estimate.

@@ -2,9 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from rtac_jax.measurement import Recording
 
 
 def doubtful(sentence: str) -> str:
@@ -12,7 +15,7 @@ def doubtful(sentence: str) -> str:
     return f"Doubtful: {sentence}"
 
 
-def unmeasured(recording: Any) -> list[str]:
+def unmeasured(recording: "Recording") -> list[str]:
     """Return what is said of a cart without a sensor."""
     from rtac_jax.measurement import concerns
 
@@ -26,7 +29,7 @@ def warn(doubts: Sequence[str]) -> None:
 
 
 @contextmanager
-def explaining(recording: Any, doubts: Sequence[str]) -> Iterator[None]:
+def explaining(recording: "Recording", doubts: Sequence[str]) -> Iterator[None]:
     """Explain a fit that fails: what is doubtful in the recording comes first, as it is the likelier cause."""
     from estimators.core.results import DivergedError, NotIdentifiableError
     from rtac_jax.measurement import concerns

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,10 @@ from estimators.cli.job import Job, job
 from estimators.cli.models import model_or_fit
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 from estimators.cli.report_page import write_json, write_report
+
+if TYPE_CHECKING:
+    from estimators.uncertainty.condition_selection import UsableConditions
+    from estimators.uncertainty.envelope import Envelope
 
 
 class Kind(StrEnum):
@@ -106,7 +110,7 @@ def envelope(
         write_report(work, f"Envelope of {work.file}", figures, sections, split=sides(found), summary=bullets)
 
 
-def _of_file(found: Any, path: Path, effects: Path | None) -> tuple[None, Any, list[str]]:
+def _of_file(found: "Envelope", path: Path, effects: Path | None) -> tuple[None, Any, list[str]]:
     """Return the fitted model of a file beside an envelope, and what is to be said of both; in place of `_closed_form`."""
     from estimators.uncertainty.fitted_model import fitted_in_envelope
     from rtac_jax import RTAC
@@ -119,7 +123,7 @@ def _of_file(found: Any, path: Path, effects: Path | None) -> tuple[None, Any, l
     return None, fitted, fitted.sentences()
 
 
-def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, Any, list[str]]:
+def _closed_form(work: Job, found: "Envelope", used: "UsableConditions") -> tuple[Any, Any, list[str]]:
     """Return the closed form beside an envelope, where the nominal model meets it, and what is to be said of both.
 
     The closed form takes milliseconds and is consistent in its weak form; `control` has the fit by output error.

@@ -43,7 +43,7 @@ def say_once_that_the_cache_is_full() -> None:
     """Say on stderr, once, what JAX would warn of at every function that it compiles."""
     show, said = warnings.showwarning, set[str]()
 
-    def shown(message: Any, *others: Any, **more: Any) -> None:
+    def shown(message: Warning | str, *others: Any, **more: Any) -> None:
         text = str(message)
         if "persistent compilation cache entry" not in text:
             show(message, *others, **more)

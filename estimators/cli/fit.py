@@ -1,6 +1,6 @@
 """`rtac fit`: parameters by every estimator."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -9,6 +9,10 @@ from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
 from estimators.cli.options import Add, Effects, File, Fix, Json, Model, Out, Save, Validation
 from estimators.cli.report_page import write_json, write_report
+
+if TYPE_CHECKING:
+    from estimators.closed_form.table1 import ClosedForm
+    from estimators.core.fit import Fit
 
 # For each 100,000 samples, as measured with an arm that is free and sampled at 2 ms; output error's with what compiling takes.
 _MINUTES = 3.0
@@ -125,7 +129,7 @@ def fit(
             write_report(work, f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 
-def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
+def _side_by_side(work: Job, closed: "ClosedForm", found: "Fit") -> tuple[Any, Any]:
     """Return the fit by predictions one sample ahead, and how far the estimators agree; None, with a note, where there is none."""
     import numpy as np
 
@@ -155,7 +159,7 @@ def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
     return predicted, agreed
 
 
-def _discounted(found: Any) -> str:
+def _discounted(found: "Fit") -> str:
     """Say which samples a robust fit discounts."""
     if not found.discounted:
         return "The robust fit discounts no sample."

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,9 @@ from estimators.cli.job import say
 from estimators.cli.options import option
 from estimators.cli.output_files import writable_file
 from estimators.cli.refusals import WRONG_USE, answering, stop
+
+if TYPE_CHECKING:
+    from rtac_jax.measurement import Recording
 
 _HDF5 = (".h5", ".hdf5")
 
@@ -186,7 +189,7 @@ def _number(option: str, name: str, text: str) -> float:
         stop(WRONG_USE, f"{option} {name}: is {text!r}; give a number with a decimal point.")
 
 
-def _with_repeats(recording: Any, repeats: Mapping[str, str]) -> Any:
+def _with_repeats(recording: "Recording", repeats: Mapping[str, str]) -> "Recording":
     """Return the recording in which experiments name those that they repeat."""
     for name, other in repeats.items():
         for wanted in (name, other):

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
 from estimators.cli.doubts import explaining, warn
@@ -27,6 +27,9 @@ from estimators.cli.planned import plan_next, show_plan
 from estimators.cli.refusals import NOT_POSSIBLE, stop
 from estimators.cli.report_page import write_json, write_report
 from estimators.cli.waiting import time_for
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.improvement import Improvement
 
 
 def improve(
@@ -182,7 +185,7 @@ def improved(
     write_report(work, title, figures, sections, summary=bullets, traces=found.validation)
 
 
-def _advice(found: Any, work: Job) -> Any:
+def _advice(found: "Improvement", work: Job) -> Any:
     """Return which estimates of the last model to use, with which deviations; None where it was fitted by predictions already.
 
     Predictions are asked where random forces lead its simulation astray.

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -12,6 +12,13 @@ from estimators.cli.doubts import doubtful, explaining, unmeasured
 from estimators.cli.environment import note_cache, say_once_that_the_cache_is_full
 from estimators.cli.output_files import saving_to, writable_file, writable_folder
 from estimators.cli.refusals import WRONG_USE, answering, stop
+
+if TYPE_CHECKING:
+    from estimators.core.fit import Fit
+    from estimators.core.result_base import Result
+    from estimators.prediction_error.fit import PredictorFit
+    from rtac_jax import RTAC
+    from rtac_jax.measurement import Recording
 
 
 class Job:
@@ -32,7 +39,13 @@ class Job:
     """
 
     def __init__(
-        self, file: str, recording: Any, validation: str | None, folder: Path | None, json: Path | None, began: float
+        self,
+        file: str,
+        recording: "Recording",
+        validation: str | None,
+        folder: Path | None,
+        json: Path | None,
+        began: float,
     ) -> None:
         self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
         self.doubts: list[str] | None = None
@@ -73,7 +86,7 @@ class Job:
         """Return the caption of a picture of what tests the fit."""
         return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
 
-    def say(self, *blocks: Any) -> None:
+    def say(self, *blocks: object) -> None:
         """Print paragraphs and tables, once every file is written."""
         self.said += blocks
 
@@ -96,7 +109,7 @@ class Job:
             typer.echo(f"rtac: {note}", err=True)
         return model
 
-    def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False) -> Any:
+    def fitted(self, model: "RTAC", *, from_model: bool = False, robust: bool = False) -> Any:
         """Fit the training part by output error; what shows nowhere is held, as what the model lacks may be what would show it.
 
         Args:
@@ -115,7 +128,7 @@ class Job:
             self.note(f"{', '.join(held)}: without effect on what is fitted, and held at {where}.")
         return fit
 
-    def spread(self, fit: Any) -> Any:
+    def spread(self, fit: "Fit") -> Any:
         """Return the covariances of a fit to the training part; None, with a note, where it ended at parameters that are free."""
         import estimators as est
         from estimators.core.results import NotIdentifiableError
@@ -151,7 +164,13 @@ class Job:
         self.doubts = [one for one in self.doubts or [] if one not in self.inconsistencies]
         self.inconsistencies = []
 
-    def compared(self, fits: Any, labels: Sequence[str] | None = None, *, ahead: int | None = None) -> tuple[Any, Any]:
+    def compared(
+        self,
+        fits: "Sequence[RTAC | Fit | PredictorFit]",
+        labels: Sequence[str] | None = None,
+        *,
+        ahead: int | None = None,
+    ) -> tuple[Any, Any]:
         """Compare fits with the training part and with what was held out, or None; predicting some samples ahead, if asked."""
         import estimators as est
 
@@ -163,7 +182,7 @@ class Job:
                 self.say(comparison.divergence)
         return trained, tested
 
-    def save(self, result: Any, path: Path | None) -> None:
+    def save(self, result: "Result", path: Path | None) -> None:
         """Keep a result, if a file was named."""
         if path is not None:
             from rtac_jax.storage import ResultFileError
@@ -233,12 +252,12 @@ def prepare() -> None:
     note_cache(rtac_jax.configure())
 
 
-def say(*blocks: Any) -> None:
+def say(*blocks: object) -> None:
     """Print paragraphs and tables, an empty line between them."""
     typer.echo("\n\n".join(str(block) for block in blocks if str(block)))
 
 
-def _names(recording: Any, validation: str | None) -> list[str] | None:
+def _names(recording: "Recording", validation: str | None) -> list[str] | None:
     """Return the experiments named on the command line; a name may hold a comma itself."""
     if validation is None:
         return None
@@ -250,7 +269,7 @@ def _names(recording: Any, validation: str | None) -> list[str] | None:
     return names
 
 
-def _split(recording: Any, names: list[str] | None) -> tuple[Any, Any, str]:
+def _split(recording: "Recording", names: list[str] | None) -> tuple[Any, Any, str]:
     """Return train, validation or None, and why nothing could be held out."""
     from estimators.core.data import moving
     from rtac_jax.measurement import RecordingError

@@ -2,12 +2,18 @@
 
 import difflib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimators.cli.doubts import explaining
 from estimators.cli.job import Job
 from estimators.cli.own_effects import offered, own_classes
 from estimators.cli.refusals import WRONG_USE, stop
+
+if TYPE_CHECKING:
+    from estimators.core.fit import Fit
+    from estimators.prediction_error.fit import PredictorFit
+    from rtac_jax import RTAC
+    from rtac_jax.measurement import Recording
 
 
 def with_article(name: str) -> str:
@@ -74,7 +80,7 @@ def start_model(
     return _held(_extended(work, model, effects, add or ""), fix or "")
 
 
-def _extended(work: Job, model: Any, effects: Path | None, add: str) -> Any:
+def _extended(work: Job, model: "RTAC", effects: Path | None, add: str) -> Any:
     """Return a model with the effects that `--add` names, each of a plausible size and of the middle one of its shapes."""
     from estimators.core.initial_state import scales_of
     from rtac_jax.effects import CATALOGUE
@@ -92,7 +98,7 @@ def _extended(work: Job, model: Any, effects: Path | None, add: str) -> Any:
     return model
 
 
-def _held(model: Any, fix: str) -> Any:
+def _held(model: "RTAC", fix: str) -> Any:
     """Return a model with the parameters fixed that `--fix` names, at the values that it gives."""
     for one in filter(None, (text.strip() for text in fix.split(","))):
         name, _, value = (text.strip() for text in one.partition("="))
@@ -133,13 +139,13 @@ def any_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
     return found
 
 
-def fitted_to(fit: Any, recording: Any) -> bool:
+def fitted_to(fit: "Fit | PredictorFit", recording: "Recording") -> bool:
     """Return whether a fit was made of the moving experiments of a recording, and of no others."""
     names = [e.name for e in _moving(recording)]
     return set(names) == set(fit.experiments) == set(seen(fit, recording))
 
 
-def seen(fit: Any, recording: Any) -> list[str]:
+def seen(fit: "RTAC | Fit | PredictorFit", recording: "Recording") -> list[str]:
     """Return the names of the experiments in a recording that a fit was made of; none for a model."""
     import estimators as est
     from estimators.core.data import is_among, mark_of, moving, pieces
@@ -151,7 +157,7 @@ def seen(fit: Any, recording: Any) -> list[str]:
     return [e.name for e in several if marks.get(e.name) == mark_of(e)]
 
 
-def _moving(recording: Any) -> Any:
+def _moving(recording: "Recording") -> Any:
     """Return what a fit takes of a recording."""
     from estimators.core.data import moving, pieces
 
@@ -166,5 +172,5 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def _model_of(found: Any) -> Any:
+def _model_of(found: "RTAC | Fit | PredictorFit") -> Any:
     return getattr(found, "model", found)

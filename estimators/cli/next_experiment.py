@@ -1,7 +1,8 @@
 """`rtac next-experiment`: the experiment that would tell apart what the data leave open."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +15,10 @@ from estimators.cli.output_files import writable_file
 from estimators.cli.own_effects import offered
 from estimators.cli.refusals import WRONG_USE, stop
 from estimators.cli.report_page import write_json, write_report
+
+if TYPE_CHECKING:
+    from estimators.core.fit import Fit
+    from rtac_jax.effects import Effect
 
 _PLAYED = (".csv", ".h5", ".hdf5")
 
@@ -96,7 +101,14 @@ def next_experiment(
             write_report(work, f"Next experiment after {work.file}", figures, sections, summary=bullets)
 
 
-def _found(work: Job, base: Any, path: Path | None, effects: Path | None, candidates: Any, quick: bool) -> Any:
+def _found(
+    work: Job,
+    base: "Fit",
+    path: Path | None,
+    effects: Path | None,
+    candidates: "Sequence[type[Effect]] | None",
+    quick: bool,
+) -> Any:
     """Return the diagnosis of a file, or make one."""
     import estimators as est
 

@@ -1,11 +1,18 @@
 """The experiment that would tell the effects of an ambiguous diagnosis apart, in a report."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from estimators.cli.job import Job
 
+if TYPE_CHECKING:
+    from estimators.core.fit import Fit
+    from estimators.diagnosis.diagnosis import Diagnosis
+    from estimators.experiment_design.next_experiment import NextExperiment
+    from rtac_jax.effects import Effect
 
-def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
+
+def plan_next(work: Job, base: "Fit", found: "Diagnosis", candidates: "Sequence[type[Effect]] | None") -> Any:
     """Plan the experiment that would tell the effects of an ambiguous diagnosis apart.
 
     None where none is needed or feasible, or none would tell them apart, as an effect and a wrong constant.
@@ -28,7 +35,7 @@ def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     return planned
 
 
-def show_plan(planned: Any, work: Job, figures: dict[str, Any], captions: dict[str, str]) -> None:
+def show_plan(planned: "NextExperiment | None", work: Job, figures: dict[str, Any], captions: dict[str, str]) -> None:
     """Write the recommended experiment for the rig, and add its picture to those of a report."""
     if planned is None or work.folder is None:
         return

@@ -4,14 +4,20 @@ import datetime
 import hashlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimators.cli.job import Job
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def write_json(work: Job, content: Any) -> None:
+    from estimators.reporting.html import Bullets
+    from estimators.validation.simulation_error import Comparison
+
+
+def write_json(work: Job, content: Mapping[str, Any]) -> None:
     """Write the numbers, if a file was named."""
     from estimators.reporting import html as _report_file
 
@@ -22,12 +28,12 @@ def write_json(work: Job, content: Any) -> None:
 def write_report(
     work: Job,
     title: str,
-    figures: dict[str, Any],
+    figures: "Mapping[str, Figure]",
     sections: Sequence[tuple[str, Sequence[Any]]],
     *,
     split: tuple[Sequence[str], Sequence[str]] | None = None,
-    summary: Any = None,
-    traces: Any = None,
+    summary: "Bullets | None" = None,
+    traces: "Comparison | None" = None,
 ) -> None:
     """Write figures and report.html.
 

@@ -1,8 +1,11 @@
 """How long who waits at a terminal gives a diagnosis."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from rtac_jax.measurement import Recording
 
 # Minutes of a diagnosis for 10^5 samples of the longest experiment: 5 for the 24,800 of a drive that dry friction held.
 _DIAGNOSIS = 20.0
@@ -10,7 +13,7 @@ _WITHIN = 400.0  # s that a diagnosis, or a loop, is given by default: who waits
 _LONGER = 4.0  # of what is foretold for long experiments, where that is more
 
 
-def time_for(recording: Any, within: float | None) -> float | None:
+def time_for(recording: "Recording", within: float | None) -> float | None:
     """Return the seconds that a diagnosis is given, None for no end; say on the screen how long it takes of long experiments.
 
     Args:

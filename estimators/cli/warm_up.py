@@ -3,13 +3,17 @@
 import contextlib
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from estimators.cli.job import prepare, say
 from estimators.cli.limits import numbers
 from estimators.cli.refusals import NOT_POSSIBLE, WRONG_USE, answering, stop
+
+if TYPE_CHECKING:
+    from rtac_jax import RTAC
+    from rtac_jax.measurement import Recording
 
 _FEWEST = {"--experiments": 2, "--samples": 200}
 _SAMPLE_TIME = 0.005  # [s]; compiled code does not depend on it
@@ -107,7 +111,7 @@ def _simulated(experiments: int, samples: int, effect: str | None) -> Any:
     random, paper = np.random.default_rng(1), rtac.RTAC.paper()
     rig = {name: float(np.asarray(paper[name])) for name in ("total_mass", "arm_inertia")}
 
-    def recorded(model: Any) -> Any:
+    def recorded(model: "RTAC") -> "Recording":
         made = []
         for n in range(experiments):
             forced = n >= experiments // 3

@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from rtac_jax.effects import Actuator, DryFriction, Effect, Force, Motion
 
@@ -76,7 +77,7 @@ def added_along(effect: Effect, motion: Motion, rests: Bool[np.ndarray, " sample
     """
     zero = np.zeros(len(rests))
 
-    def full(values: Any) -> Values:
+    def full(values: ArrayLike) -> Values:
         return zero + np.asarray(values, dtype=float)
 
     if isinstance(effect, Actuator):

@@ -5,6 +5,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from jaxtyping import Bool
 
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR
@@ -234,7 +235,7 @@ def _astray(batch: ClosedLoop) -> str:
     return "".join(f"; {one}" for one in said if one)
 
 
-def _percent(which: Any) -> str:
+def _percent(which: Bool[np.ndarray, " plant"] | float) -> str:
     return f"{100 * float(np.mean(which)):.1f} %"
 
 

@@ -12,6 +12,7 @@ from estimators.core.fisher_information import each_deviations, each_slope, info
 from estimators.core.jacobian_factor import Arguments, Passes
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Solved, solve
 from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.progress import Tell
 
 # Standard deviations from its bound at which a parameter is held there; no more of its plausible size, or what the data do not
 # show, as the inertia of an arm beside a cart that friction holds, would be taken for nothing.
@@ -41,7 +42,7 @@ def solve_bounded(
     tolerance: float = 1e-6,
     gain: float = NEGLIGIBLE,
     most: int = 60,
-    progress: object = None,
+    progress: Tell | None = None,
     noise: ConcentratedNoise | None = None,
     far: float = np.inf,
 ) -> Solved:

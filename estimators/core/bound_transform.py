@@ -1,5 +1,6 @@
 """Bounds by reparametrisation: unconstrained numbers of order one in place of physical parameters."""
 
+from types import ModuleType
 from typing import Any
 
 import jax
@@ -43,7 +44,7 @@ def _traced_jvp(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tupl
     return value, slope * tangents[0]
 
 
-def _value_and_slope(z: Any, lower: Any, upper: Any, scale: Any, *, xp: Any) -> tuple[Any, Any]:
+def _value_and_slope(z: Vector, lower: Vector, upper: Vector, scale: Vector, *, xp: ModuleType) -> tuple[Any, Any]:
     """Return what `to_physical` does and its derivative, without cancellation, so that neither is lost close to a bound."""
     sigmoid = expit if xp is np else jax.nn.sigmoid
     low, high = xp.isfinite(lower), xp.isfinite(upper)

@@ -3,7 +3,7 @@
 from typing import Any
 
 
-def draw(result: Any, *arguments: Any) -> Any:
+def draw(result: object, *arguments: object) -> Any:
     """Draw the picture of a result: what its `plot` method returns.
 
     The pictures and matplotlib are imported here, at the first picture, and nowhere else in what computes.

@@ -18,6 +18,7 @@ from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.deadline import require_time
 from estimators.core.jacobian_factor import Arguments, Factors, Passes, Residuals, promised_gain
 from estimators.core.parameter_space import Unknowns
+from estimators.core.progress import Tell
 from rtac_jax.programs import program
 from rtac_jax.programs.arrays import to_jax
 
@@ -131,7 +132,7 @@ def solve(
     tolerance: float = 1e-6,
     gain: float = NEGLIGIBLE,
     most: int = 60,
-    progress: Any = None,
+    progress: Tell | None = None,
     noise: ConcentratedNoise | None = None,
     far: float = np.inf,
 ) -> Solved:

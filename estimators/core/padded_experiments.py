@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Array, Int
 
 from estimators.core.data import Data
 from estimators.core.parameter_space import Space
@@ -31,7 +31,7 @@ def padded_places(data: Data) -> Int[np.ndarray, " place"] | None:
     return np.minimum(np.arange(wide), count - 1)
 
 
-def padded(data: Data, space: Space, *others: Any) -> tuple[Any, ...]:
+def padded(data: Data, space: Space, *others: Array | None) -> tuple[Any, ...]:
     """Return data, space and arrays whose last axis are their experiments, padded."""
     places = padded_places(data)
     if places is None:
@@ -39,15 +39,15 @@ def padded(data: Data, space: Space, *others: Any) -> tuple[Any, ...]:
     return experiments_at(data, places), space_at(space, places), *experiments_at(others, places)
 
 
-def experiments_at(tree: Tree, places: Any) -> Tree:
+def experiments_at(tree: Tree, places: Int[np.ndarray, " place"] | slice) -> Tree:
     """Return the experiments at some places of arrays whose last axis they are; numbers stay as they are."""
 
-    def of(leaf: Any) -> Any:
+    def of(leaf: Array | np.ndarray | float) -> Array | np.ndarray | float:
         return to_jax(np.asarray(leaf)[..., places]) if np.ndim(leaf) else leaf
 
     return jax.tree.map(of, tree)
 
 
-def space_at(space: Space, places: Any) -> Space:
+def space_at(space: Space, places: Int[np.ndarray, " place"] | slice) -> Space:
     """Return the space of the experiments at some places."""
     return dataclasses.replace(space, **{name: experiments_at(getattr(space, name), places) for name in _OWN})

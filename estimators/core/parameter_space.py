@@ -1,6 +1,6 @@
 """The parameter space of a fit: which parameters are free, between which bounds, at which scale."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,6 +11,9 @@ from jaxtyping import Array, Float, Int
 from estimators.core.bound_transform import to_physical, to_unconstrained
 from rtac_jax.excitation import Real
 from rtac_jax.programs.arrays import is_traced, to_jax
+
+Physical = tuple[Float[Array, " parameter"], Float[Array, "each experiment"], Float[Array, "start experiment"]]
+"""All shared parameters, those of each experiment, and the states at the start, SI units."""
 
 
 class Unknowns(NamedTuple):
@@ -70,7 +73,7 @@ class Space(eqx.Module):
         """Return the negative logarithm of the priors' density, less a constant; not within compiled code."""
         return 0.5 * float(np.sum(np.asarray(self.from_known(jnp.asarray(shared))) ** 2))
 
-    def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
+    def physical(self, unknowns: Unknowns) -> Physical:
         """Return all shared parameters, those of each experiment, and the states at the start, in SI units."""
         if is_traced(self, unknowns):
             return self._physical(unknowns)
@@ -79,7 +82,7 @@ class Space(eqx.Module):
         shared, each, start = known[0]._physical(known[1])
         return to_jax(shared), to_jax(each), to_jax(start)
 
-    def _physical(self, unknowns: Unknowns) -> tuple[Any, Any, Any]:
+    def _physical(self, unknowns: Unknowns) -> tuple[Real, Real, Real]:
         """Return `physical`, in NumPy's arrays where all are."""
         shared = self._with_free(
             to_physical(unknowns.shared, *map(self._of_free, (self.lower, self.upper, self.scale)))
@@ -91,13 +94,13 @@ class Space(eqx.Module):
             return shared, each, self.start
         return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
 
-    def _of_free(self, values: Any) -> Any:
+    def _of_free(self, values: Real) -> Real:
         """Return the values of what is free; 1 at a place past the end."""
         if isinstance(values, np.ndarray) and isinstance(self.active, np.ndarray):
             return np.append(values, 1.0)[np.minimum(self.active, len(values))]
         return jnp.asarray(values).at[self.active].get(mode="fill", fill_value=1.0)
 
-    def _with_free(self, free: Any) -> Any:
+    def _with_free(self, free: Real) -> Real:
         """Return all shared parameters with these values of those that are free."""
         if isinstance(free, np.ndarray):
             found = np.append(self.values, 0.0)

@@ -4,12 +4,16 @@ import math
 import sys
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
 from tqdm import tqdm
 
 from rtac_jax.programs import compiling
+
+Tell = Callable[[str], object]
+"""What is called with a line of text after every step of some work."""
 
 _REFRESH = 1.0  # s, of a bar, so that its clock goes on while code compiles
 _LINE = 60.0  # s between lines where nobody watches

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS, Data, Outputs3
-from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.parameter_space import Physical, Space, Unknowns
 from rtac_jax import RTAC, Excitation
 from rtac_jax.equations import state_at_start
 from rtac_jax.programs.arrays import to_jax
@@ -41,7 +41,7 @@ def predict(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: tuple[Array, Array, Array],
+    physical: Physical,
     *,
     substeps: Steps,
     gain: Array | None = None,
@@ -92,7 +92,7 @@ def output_residual(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: tuple[Array, Array, Array],
+    physical: Physical,
     whitener: Array,
     *,
     substeps: Steps,
@@ -111,7 +111,7 @@ def _start_residual(space: Space, unknowns: Unknowns, start: Array) -> Float[Arr
 
 
 def prior_residual(
-    space: Space, unknowns: Unknowns, physical: tuple[Array, Array, Array], experiments: int
+    space: Space, unknowns: Unknowns, physical: Physical, experiments: int
 ) -> Float[Array, "row experiment"]:
     """Return the deviation from what was known beforehand, in units of its standard deviation: starts, then constants.
 

@@ -38,7 +38,7 @@ class Result:
         return self.overview().to_html()
 
 
-def save(result: Any, path: str | os.PathLike[str]) -> None:
+def save(result: object, path: str | os.PathLike[str]) -> None:
     """Write a model or a result to a file, from which `load` returns the same, bit for bit.
 
     A file that was there is replaced only when the new one is complete.

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from estimators.core.data import Data
 from estimators.core.deadline import OutOfTimeError, require_time
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.core.threads import at_once
 from estimators.diagnosis.refit import Refit
 from estimators.prediction_error.filter_pass import negative_log_likelihood
@@ -189,7 +189,13 @@ def few_random_forces(noise: Float[np.ndarray, " noise"], most: float = _FEW) ->
 
 
 def _cost(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: Any, substeps: Steps
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: Physical,
+    prior: NoiseModel,
+    noise: Float[np.ndarray, " noise"],
+    substeps: Steps,
 ) -> float:
     require_time()
     value = negative_log_likelihood(model, data, space, physical, prior, noise, substeps)

@@ -255,7 +255,7 @@ class Evidence:
             raise ValueError(f"{path} is damaged: {error!r}") from None
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return what JSON can hold: records as dictionaries, mappings as lists of pairs."""
     if dataclasses.is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}

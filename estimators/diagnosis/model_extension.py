@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -349,7 +349,7 @@ def falls_clearly(before: Compared, after: Compared, policy: DiagnosisPolicy, wa
     return error <= (1 - policy.fall) * first or (way == "simulated" and error <= first and error < policy.near_noise)
 
 
-def misfit(compared: Any) -> float:
+def misfit(compared: Compared) -> float:
     """Return the mean over the channels of the error in units of the noise.
 
     In a mean no channel can hide another.

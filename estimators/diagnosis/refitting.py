@@ -4,8 +4,8 @@ import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial, reduce
-from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -198,7 +198,7 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     part = trial_data(setting.data)
     others = tuple(name for name in free if name not in moving)
 
-    def placed(values: Mapping[str, float], each: Any) -> Space:
+    def placed(values: Mapping[str, float], each: jax.Array) -> Space:
         there = model.with_values(values)
         return dataclasses.replace(begun(space_for(setting, there, moving), there, before.start), each_values=each)
 

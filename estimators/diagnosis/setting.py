@@ -3,10 +3,10 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from estimators.closed_form.fit import starting_values
 from estimators.closed_form.initial_angle import with_initial_angles
@@ -181,7 +181,7 @@ def padded_space(setting: Setting, model: RTAC, free: Sequence[str], *, room: in
     return dataclasses.replace(space, active=to_jax(active))
 
 
-def by_name(space: Space, other: Space, values: Any) -> Any:
+def by_name(space: Space, other: Space, values: Float[Array, " other"]) -> Float[Array, " parameter"]:
     """Return the values of one space where another has a parameter of that name."""
     known = dict(zip(other.names, np.asarray(values), strict=True))
     return jnp.asarray([known.get(n, v) for n, v in zip(space.names, np.asarray(space.values), strict=True)])

@@ -119,7 +119,7 @@ def _one_window(near: Any, *, degree: int, poles: int) -> tuple[Array, ...]:
     return solution[0] / scale[0], noise * first_row / scale[0], noise, scale[0], weakest
 
 
-def _squared(values: Any) -> Array:
+def _squared(values: Array) -> Array:
     return values.real**2 + values.imag**2
 
 

@@ -92,7 +92,7 @@ def model_roots(fit: Fit | PredictorFit, *, arm_angle: float = 0.0) -> tuple[Roo
     for number, hidden in enumerate(paired):
         kept = first[number][~hidden]
 
-        def of(model: RTAC, kept: Any = kept, number: int = number) -> Float[np.ndarray, " part"]:
+        def of(model: RTAC, kept: np.ndarray = kept, number: int = number) -> Float[np.ndarray, " part"]:
             moved: Any = _nearest(kept, _poles_and_zeros(model, arm_angle)[number])
             return np.concatenate([moved.real, moved.imag])
 

@@ -1,7 +1,6 @@
 """The distance by which random forces carry a simulation away: the covariance of a filter that is not corrected."""
 
 import dataclasses
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +8,7 @@ from jaxtyping import Float
 
 from estimators.core.data import CHANNELS, Data, motion_of
 from estimators.core.fit import Fit
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.inference.simulation_residual import SimulationLimits
 from estimators.prediction_error.filter_pass import all_trusted, run_filter
 from estimators.prediction_error.fit import PredictorFit
@@ -22,7 +21,7 @@ _IGNORED = 1e-6
 
 
 def simulation_deviation(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Float[np.ndarray, " output"]:
     """Return the rms error that random forces and sensor noise give a free simulation, per output, SI units.
 

@@ -6,7 +6,7 @@ Jacobian. Problems of ten unknowns that are scaled by their sensitivity are solv
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +36,7 @@ class _State(NamedTuple):
 
 
 def gauss_newton(
-    residual: Callable[[Any], Any], theta: Float[Array, " unknown"], *, most: int | Int[Array, ""] = 60
+    residual: Callable[[Array], Array], theta: Float[Array, " unknown"], *, most: int | Int[Array, ""] = 60
 ) -> tuple[Point, Bool[Array, ""]]:
     """Minimise half the sum of squares; return the last point and whether it converged. Made to be vmapped.
 

@@ -8,7 +8,7 @@ from typing import Any
 import control as ct
 import jax
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 
 from estimators.core.drawing import draw
 from estimators.core.long_run_covariance import long_run_covariance
@@ -213,7 +213,7 @@ def prediction_error(
     return LinearModels(found, stage.structure, scores if search else {}, time.perf_counter() - began, options)
 
 
-def structure_of(kind: str, modes: Any, zeros: int | None, noise_order: int | None) -> Structure:
+def structure_of(kind: str, modes: int | str, zeros: int | None, noise_order: int | None) -> Structure:
     """Return the model set that the options ask for.
 
     Raises:
@@ -306,7 +306,7 @@ def _models(
 def _covariance(
     error: Float[np.ndarray, " sample"],
     jacobian: Float[np.ndarray, "sample unknown"],
-    present: Any,
+    present: Bool[np.ndarray, " sample"],
     colour: Colour,
     structure: Structure,
 ) -> tuple[Float[np.ndarray, "unknown unknown"], int, int]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -82,7 +82,7 @@ class Screened:
     """
 
     id: str
-    instance: Any
+    instance: Effect
     amplitudes: tuple[str, ...]
     begin: Float[np.ndarray, " amplitude"]
     statistic: float
@@ -231,7 +231,7 @@ def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screene
 
 
 def _screened(
-    instance: Any,
+    instance: Effect,
     names: tuple[str, ...],
     templates: Rows,
     error: np.ndarray,

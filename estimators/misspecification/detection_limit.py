@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -80,7 +79,7 @@ def _plausible(s: Screened) -> float:
     return float(np.asarray(getattr(s.instance, main_amplitude(s))))
 
 
-def _scores(group: Group, basis: Rows, several: Sequence[Screened], sizes: Any) -> np.ndarray:
+def _scores(group: Group, basis: Rows, several: Sequence[Screened], sizes: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the chi-square of each candidate at a size: of its change, the part that its templates explain."""
     if not several:
         return np.zeros(0)

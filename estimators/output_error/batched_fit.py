@@ -3,7 +3,6 @@
 import collections
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +67,7 @@ def fit_cases(
     substeps: int,
     steps: int = 60,
     tolerance: float = TOLERANCE,
-    progress: Callable[[int], Any] = lambda count: None,
+    progress: Callable[[int], object] = lambda count: None,
 ) -> list[End]:
     """Fit cases of one kind.
 

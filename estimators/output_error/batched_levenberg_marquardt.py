@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on many data sets of one shape in one compiled loop, each with damping and an end of its own."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -161,7 +161,7 @@ def one_step(
     after = next_stage(after, stuck)
     descending = after.stage < last
 
-    def look(_: Any, state: tuple[Batch, Array]) -> tuple[Batch, Array]:
+    def look(_: Array, state: tuple[Batch, Array]) -> tuple[Batch, Array]:
         at, _ = state
         step, left = _newton(weighted(at, columns), shared, jnp.zeros_like(at.damping))
         distance = jnp.sqrt(2.0 * jnp.maximum(left, 0.0))
@@ -261,7 +261,7 @@ def _cholesky(matrix: Float[Array, "row row *batch"]) -> _Lower:
     """
     row = jnp.arange(len(matrix)).reshape(-1, *[1] * (matrix.ndim - 2))
 
-    def column(k: Any, state: tuple[Array, _Lower]) -> tuple[Array, _Lower]:
+    def column(k: Array, state: tuple[Array, _Lower]) -> tuple[Array, _Lower]:
         rest, factor = state
         # A pivot lost to rounding belongs to a direction that the data leave free: it is not moved along.
         pivot = jnp.sqrt(jnp.where(rest[k, k] > 1e-14 * matrix[k, k], rest[k, k], jnp.inf))
@@ -276,11 +276,11 @@ def _cholesky(matrix: Float[Array, "row row *batch"]) -> _Lower:
 def _solve(lower: _Lower, right: Float[Array, "row side *batch"]) -> Array:
     last = len(right) - 1
 
-    def forwards(k: Any, rest: Array) -> Array:
+    def forwards(k: Array, rest: Array) -> Array:
         value = rest[k] / lower.diagonal[k]
         return rest.at[k].set(value) - lower.below[:, k, None] * value
 
-    def backwards(n: Any, rest: Array) -> Array:
+    def backwards(n: Array, rest: Array) -> Array:
         k = last - n
         value = rest[k] / lower.diagonal[k]
         return rest.at[k].set(value) - lower.below[k, :, None] * value

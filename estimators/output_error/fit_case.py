@@ -81,7 +81,7 @@ class Case:
         held, known = tuple(name for name in space.names if name not in shared), model.values
         count = len(experiments)
 
-        def each(rows: Any) -> np.ndarray:
+        def each(rows: np.ndarray | list[float]) -> np.ndarray:
             return np.repeat(np.asarray(rows, dtype=float)[:, None], count, axis=1)
 
         active = np.asarray(space.active)

@@ -1,7 +1,7 @@
 """Gauss-Newton's normal equations of many experiments, summed up in the time loop, so that no sensitivity is kept."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -87,11 +87,11 @@ def normal_equations(
         seen = sensor_outputs(model.with_values(dict(zip(names, values, strict=True))), tuple(state))
         return _stacked([seen[place] for place in outputs], shape)
 
-    def signals(at: Array) -> tuple[Any, Any]:
+    def signals(at: Array) -> tuple[Array | None, Array | None]:
         reaching = delivered(placed(at)[1], data.excitation)
         return reaching.current, reaching.force
 
-    def onward(values: Array, state: Array, powers: tuple[Any, Any]) -> Array:
+    def onward(values: Array, state: Array, powers: tuple[Array | None, Array | None]) -> Array:
         there = model.with_values(dict(zip(names, values, strict=True)))
         there = there.without(*(effect.id for effect in there.effects if isinstance(effect, Input)))
         current, force = (None if x is None else tuple(x) for x in powers)
@@ -109,7 +109,7 @@ def normal_equations(
         lambda along: jax.jvp(lambda at: physical(columns, at)[0], (unknowns,), (along,)), out_axes=(None, 0)
     )(directions)
 
-    def one_sample(k: Any, carry: tuple[Array, Array, tuple[Array, ...]]) -> tuple[Array, Array, tuple[Array, ...]]:
+    def one_sample(k: Array, carry: tuple[Array, Array, tuple[Array, ...]]) -> tuple[Array, Array, tuple[Array, ...]]:
         state, change, products = carry
         value, slope = jax.vmap(lambda along, by: jax.jvp(shown, (values, state), (along, by)), out_axes=(None, 0))(
             moves, change
@@ -139,5 +139,5 @@ def normal_equations(
     return jnp.where((place[:, None] <= place)[:, :, None], upper, jnp.swapaxes(upper, 1, 2))
 
 
-def _stacked(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
+def _stacked(values: Sequence[Array | float], shape: tuple[int, ...]) -> Array:
     return jnp.stack([jnp.broadcast_to(x, shape) for x in values])

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +14,7 @@ from estimators.core.discounted import Discounted
 from estimators.core.jacobian_factor import Arguments, factor, plain_residual
 from estimators.core.levenberg_marquardt import Solved
 from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.progress import Tell
 from estimators.core.residual import diagonal_whitener, no_gain
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, spikes
@@ -65,7 +66,7 @@ def robust(
     noise: Float[np.ndarray, " output"],
     tolerance: float,
     steps: int,
-    progress: Any = None,
+    progress: Tell | None = None,
 ) -> Robust:
     """Fit by the likelihood of Student's distribution, beginning near the optimum of least squares.
 

@@ -1,10 +1,12 @@
 """Cases side by side: how many, and their arrays with the columns of all."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
+
+Tree = TypeVar("Tree")
 
 # Experiments side by side in one compiled loop: fewer fill no vectors, more wait for the last fits that descend.
 _COLUMNS = 48
@@ -18,6 +20,6 @@ def places_for(experiments: int) -> int:
     return _WIDTH * max(1, round(_COLUMNS / (_WIDTH * experiments)))
 
 
-def side_by_side(parts: Iterable[Any]) -> Any:
+def side_by_side(parts: Iterable[Tree]) -> Tree:
     """Return arrays with the columns of all; what has no axis is the same in all."""
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1) if np.ndim(x[0]) else x[0], *parts)

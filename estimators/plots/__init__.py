@@ -1,7 +1,6 @@
 """Pictures of recordings and results; each function returns a figure whose title says what it shows."""
 
 import functools
-from typing import Any
 
 from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.outcome import ControlDesign
@@ -33,6 +32,7 @@ from estimators.plots.recording import plot_recording
 from estimators.plots.residuals import plot_residuals
 from estimators.plots.study import plot_confusions, plot_coverage, plot_envelopes, plot_estimates, plot_pairs
 from estimators.plots.study_bode import plot_bode_bands
+from estimators.plots.style import Picture
 from estimators.plots.table1 import plot_table_1
 from estimators.plots.where import plot_where
 from estimators.prediction_error.fit import PredictorFit
@@ -43,7 +43,7 @@ from estimators.validation.simulation_error import Comparison
 
 
 @functools.singledispatch
-def draw(result: Any, *arguments: Any) -> Any:
+def draw(result: object, *arguments: object) -> Picture:
     """Draw the picture that belongs to a result; each type of result registers its own below.
 
     Raises:
@@ -74,12 +74,12 @@ for _type, _picture in {
 
 
 @draw.register
-def _(result: ControlDesign) -> Any:
+def _(result: ControlDesign) -> Picture:
     return plot_closed_loop(result.free, {"closed loop": result.closed})
 
 
 @draw.register
-def _(result: StudyResults, which: str) -> Any:
+def _(result: StudyResults, which: str) -> Picture:
     # The names by which a study captions its pictures.
     return {
         "estimates": plot_estimates,

@@ -1,10 +1,10 @@
 """The error of simulation by frequency, before and after."""
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
 from scipy.signal import periodogram
 
 from estimators.plots.style import HATCHES, NAMES, SMALL, Picture, picture, plain_log_axis, tidy, times, title
@@ -71,7 +71,7 @@ def _edges(traces: tuple[Trace, ...]) -> Edges:
     return np.geomspace(min(_LONGEST / longest, rate / 8), 0.5 * rate * (1 + 1e-9), _BANDS + 1)
 
 
-def _draw(axes: Any, ratios: dict[str, np.ndarray], edges: Edges) -> None:
+def _draw(axes: Axes, ratios: dict[str, np.ndarray], edges: Edges) -> None:
     width = 0.8 / len(ratios)
     for number, (name, values) in enumerate(ratios.items()):
         axes.bar(

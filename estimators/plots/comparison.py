@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from estimators.plots.style import (
     MEASURED,
@@ -23,7 +24,7 @@ from estimators.plots.style import (
     title,
     worst_stretch,
 )
-from estimators.validation.simulation_error import Comparison, Trace
+from estimators.validation.simulation_error import Compared, Comparison, Trace
 
 _MOST_MODELS = 4
 
@@ -53,7 +54,7 @@ def plot_comparison(comparison: Comparison, *, worst: int | None = None) -> Pict
     return figure
 
 
-def draw_pair(top: Any, below: Any, traces: list[Trace], labels: list[str]) -> None:
+def draw_pair(top: Axes, below: Any, traces: list[Trace], labels: list[str]) -> None:
     """Draw one channel of one experiment: measured and simulated above, residuals and noise below."""
     first = traces[0]
     near = worst_stretch(first.residual)
@@ -80,7 +81,7 @@ def draw_pair(top: Any, below: Any, traces: list[Trace], labels: list[str]) -> N
     tidy(below)
 
 
-def _shown(comparison: Comparison) -> list[Any]:
+def _shown(comparison: Comparison) -> list[Compared]:
     """Return the first models and always the last one."""
     models = list(comparison.models)
     return models if len(models) <= _MOST_MODELS else [*models[: _MOST_MODELS - 1], models[-1]]
@@ -95,7 +96,7 @@ def same(traces: tuple[Trace, ...], like: Trace) -> Trace:
     return next(t for t in traces if (t.experiment, t.channel) == (like.experiment, like.channel))
 
 
-def _finding(comparison: Comparison, models: list[Any], rows: int) -> str:
+def _finding(comparison: Comparison, models: list[Compared], rows: int) -> str:
     first = max(models[0].traces, key=lambda t: t.rms / t.noise)
     before = first.rms / first.noise
     count = len({t.experiment for t in models[0].traces})

@@ -1,9 +1,9 @@
 """The missing effect: the candidates beside each other, and the missing force as a curve and in time."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
@@ -126,7 +126,7 @@ def _alarms(c: Candidate, policy: DiagnosisPolicy) -> bool:
     return c.chi_square >= policy.alarm and c.p_value < policy.chance
 
 
-def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
+def _bars(axes: Axes, diagnosis: Diagnosis, *, wide: bool) -> None:
     accepted, policy = {c.id for c in diagnosis.effects}, diagnosis.policy
     shown = sorted(ranked(diagnosis)[:_MOST_BARS], key=lambda c: (c.id not in accepted, -c.chi_square))
     left = len(diagnosis.candidates) - len(shown)
@@ -216,7 +216,7 @@ def _beyond_chance(curve: ForceCurve, diagnosis: Diagnosis) -> bool:
     return curve.p_value * len(diagnosis.curves) < level
 
 
-def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> None:
+def _in_time(axes: Axes, latent: LatentForce, recording: Recording | None) -> None:
     """Draw the missing force over the experiment that carries most of it, or its strongest stretch."""
     most = max(latent.by_experiment, key=lambda name: latent.by_experiment[name])
     column = latent.experiments.index(most)
@@ -265,7 +265,7 @@ def _reach(curves: Sequence[ForceCurve]) -> float:
     return next((reach for reach in tried if reach > 0), 1.0)
 
 
-def _curve(axes: Any, curve: ForceCurve, diagnosis: Diagnosis, reach: float, *, narrow: bool, keyed: bool) -> None:
+def _curve(axes: Axes, curve: ForceCurve, diagnosis: Diagnosis, reach: float, *, narrow: bool, keyed: bool) -> None:
     what, unit = _FORCE[curve.port]
     across = prefixed(float(np.max(np.abs(curve.at))), UNITS[curve.variable])
     up = prefixed(reach, unit)

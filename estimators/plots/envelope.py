@@ -3,7 +3,8 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
@@ -16,6 +17,7 @@ from estimators.uncertainty.fitted_model import FittedInEnvelope
 from estimators.uncertainty.nominal_model import log_measure
 from estimators.uncertainty.uncertainty_structures import errors
 
+Response = Complex128[np.ndarray, " frequency"]
 _PLANT: dict[str, Any] = {"color": "0.6", "linewidth": 0.7}
 _HELD: dict[str, Any] = {"color": "0.35", "linewidth": 0.7, "linestyle": (0, (1, 1.5))}
 _NOMINAL: dict[str, Any] = {"color": "#08306b", "linewidth": 2.0}
@@ -171,7 +173,7 @@ def gain_label(response: FrequencyResponse) -> str:
     return f"|{response.output.replace('_', ' ')} / ({name})|\n[dB above 1 {ratio}]"
 
 
-def draw_responses(axes: Any, envelope: Envelope) -> None:
+def draw_responses(axes: Axes, envelope: Envelope) -> None:
     """Draw magnitudes of the conditions and of the nominal model, as in Figs. 5 and 6(a)."""
     named: set[bool] = set()
     for plant, held in _shown(envelope, envelope.plants):
@@ -184,7 +186,7 @@ def draw_responses(axes: Any, envelope: Envelope) -> None:
     frequency_axis(axes)
 
 
-def draw_profile(axes: Any, envelope: Envelope) -> None:
+def draw_profile(axes: Axes, envelope: Envelope) -> None:
     """Draw the model errors of the conditions, their largest and the weight, as in Fig. 6(b)."""
     for model_error, held in _shown(envelope, envelope.model_errors):
         axes.semilogx(
@@ -204,7 +206,7 @@ def draw_profile(axes: Any, envelope: Envelope) -> None:
     frequency_axis(axes)
 
 
-def _draw_sources(axes: Any, envelope: Envelope) -> None:
+def _draw_sources(axes: Axes, envelope: Envelope) -> None:
     fractions = 100 * envelope.attribution.fractions
     base = np.zeros(len(envelope.frequency))
     for number, name in enumerate(SOURCES):
@@ -219,13 +221,13 @@ def _draw_sources(axes: Any, envelope: Envelope) -> None:
     axes.legend(fontsize=SMALL, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
-def _shown(envelope: Envelope, rows: Any) -> list[tuple[Any, bool]]:
+def _shown(envelope: Envelope, rows: np.ndarray) -> list[tuple[np.ndarray, bool]]:
     """Return some of many rows, spread over all."""
     step = max(1, len(rows) // _MOST_LINES)
     return [(rows[i], bool(envelope.held_out[i])) for i in range(0, len(rows), step)]
 
 
-def frequency_axis(axes: Any) -> None:
+def frequency_axis(axes: Axes) -> None:
     """Tidy axes over a logarithmic frequency, with plain numbers at 1, 2 and 5 of every decade."""
     tidy(axes)
     axes.grid(True, which="minor", axis="x", color="0.95", linewidth=0.4)
@@ -240,7 +242,7 @@ def decibel(values: Float64[np.ndarray, " frequency"]) -> Float64[np.ndarray, " 
     return 20 * np.log10(np.maximum(values, 1e-300))
 
 
-def degrees(values: Any) -> Any:
+def degrees(values: Response) -> Float64[np.ndarray, " frequency"]:
     """Return the phase in degrees; a jump by a whole turn is not drawn."""
     phase = np.degrees(np.angle(values))
     return np.where(np.abs(np.diff(phase, prepend=phase[0])) > 180, np.nan, phase)

@@ -1,8 +1,8 @@
 """The error before and after, for the data that were fitted and for those held out."""
 
 import itertools
-from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from estimators.core.fit import FAR
@@ -71,7 +71,7 @@ def finding(improvement: Improvement) -> str:
     return f"{how[0].upper()}{how[1:]} {verb} the held-out error of {NAMES[channel]} {fall}"
 
 
-def _ladder(axes: Any, improvement: Improvement) -> None:
+def _ladder(axes: Axes, improvement: Improvement) -> None:
     steps = range(len(improvement.validation.models))
     values = [1.0]
     ends: list[tuple[float, float]] = []
@@ -122,7 +122,7 @@ def _rungs(improvement: Improvement) -> list[str]:
     return names
 
 
-def _numbers(axes: Any, step: int, ratios: list[float], *, left: bool) -> None:
+def _numbers(axes: Axes, step: int, ratios: list[float], *, left: bool) -> None:
     """Write values beside their markers, moved apart where they would cover each other."""
     low, high = axes.get_ylim()
     gap = (high / low) ** 0.045

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from estimators.experiment_design.next_experiment import CONFUSABLE, NextExperiment
 from estimators.plots.style import SMALL, Picture, axis, label, picture, tidy, title
@@ -48,7 +49,7 @@ def finding(found: NextExperiment) -> str:
     return f"“{found.plan.name}” tells {effects} apart: separation {_two(then)}, {_two(now)} as it stands"
 
 
-def _bars(axes: Any, found: NextExperiment) -> None:
+def _bars(axes: Axes, found: NextExperiment) -> None:
     shown = found.ranked[:_MOST_BARS]
     now = min(found.already.values())
     values = [one.smallest for one in shown]

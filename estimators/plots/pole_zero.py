@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from estimators.core.fit import Fit
 from estimators.core.parameter_correlation import ellipse
@@ -84,7 +85,7 @@ def _modes(poles: Roots, zeros: Roots) -> list[tuple[complex, np.ndarray, str, s
     return found[:_CLOSE]
 
 
-def _from_near(axes: Any, value: complex, covariance: np.ndarray, colour: str, word: str) -> None:
+def _from_near(axes: Axes, value: complex, covariance: np.ndarray, colour: str, word: str) -> None:
     """Draw the ellipse of two standard deviations around a pole or zero, both axes at one scale."""
     x, y = ellipse(covariance)
     real, imaginary = np.sqrt(np.diag(covariance))
@@ -104,7 +105,7 @@ def _from_near(axes: Any, value: complex, covariance: np.ndarray, colour: str, w
     tidy(axes)
 
 
-def _draw(axes: Any, roots: Roots, times: int, mark: str, colour: str, label: str | None) -> None:
+def _draw(axes: Axes, roots: Roots, times: int, mark: str, colour: str, label: str | None) -> None:
     values: Any = roots.values
     axes.plot(
         values.real,

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from estimators.linear.fit import LinearModels
@@ -58,7 +59,7 @@ def plot_prediction_error(found: LinearModels, omega: Float[np.ndarray, " freque
     return figure
 
 
-def _correlations(left: Any, right: Any, found: LinearModels) -> None:
+def _correlations(left: Axes, right: Axes, found: LinearModels) -> None:
     """Draw the correlations in units of the 99 % band of each condition."""
     for one in found:
         tests = one.residuals

@@ -1,8 +1,7 @@
 """A quick look at the raw channels of a recording."""
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
 
 from estimators.plots.style import (
     NAMES,
@@ -18,7 +17,7 @@ from estimators.plots.style import (
     tidy,
     title,
 )
-from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
+from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording, Signal
 
 _MOST = 4
 
@@ -48,7 +47,7 @@ def plot_recording(recording: Recording) -> Picture:
     return figure
 
 
-def _draw(panel: Any, experiment: Experiment, channel: str, factor: float) -> None:
+def _draw(panel: Axes, experiment: Experiment, channel: str, factor: float) -> None:
     tidy(panel)
     signals = _signals(experiment)
     if channel not in signals:
@@ -64,7 +63,7 @@ def _draw(panel: Any, experiment: Experiment, channel: str, factor: float) -> No
     )
 
 
-def _signals(experiment: Experiment) -> dict[str, Any]:
+def _signals(experiment: Experiment) -> dict[str, Signal]:
     return {**experiment.inputs, **experiment.outputs}
 
 

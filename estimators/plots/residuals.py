@@ -1,8 +1,7 @@
 """The residuals of a simulation: in time, in correlation, in frequency, and by experiment."""
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.signal import welch
 
 from estimators.plots.style import (
@@ -45,7 +44,7 @@ def plot_residuals(compared: Compared) -> Picture:
     return figure
 
 
-def _in_time(axes: Any, trace: Trace) -> None:
+def _in_time(axes: Axes, trace: Trace) -> None:
     scale = prefixed(float(np.nanmax(np.abs(trace.residual), initial=0.0)), UNITS[trace.channel])
     axes.axhspan(-scale.factor * trace.noise, scale.factor * trace.noise, zorder=0, **NOISE)
     axes.plot(*thin(trace.time, scale.factor * trace.residual), color=_INK, linewidth=0.7)
@@ -55,7 +54,7 @@ def _in_time(axes: Any, trace: Trace) -> None:
     tidy(axes)
 
 
-def _by_experiment(axes: Any, compared: Compared) -> None:
+def _by_experiment(axes: Axes, compared: Compared) -> None:
     names = list(dict.fromkeys(t.experiment for t in sorted(compared.traces, key=lambda t: -t.rms / t.noise)))
     shown = names[:_MOST_BARS]
     channels = list(dict.fromkeys(t.channel for t in compared.traces))
@@ -82,7 +81,7 @@ def _by_experiment(axes: Any, compared: Compared) -> None:
     tidy(axes)
 
 
-def _autocorrelation(axes: Any, trace: Trace) -> None:
+def _autocorrelation(axes: Axes, trace: Trace) -> None:
     found, band = trace.autocorrelation(_LAGS)
     _stems(axes, found[1:], band, first=1)
     axes.set_xlabel("Lag [samples]", fontsize=SMALL)
@@ -90,7 +89,7 @@ def _autocorrelation(axes: Any, trace: Trace) -> None:
     axes.set_title(f"residual is {trace.colour}", fontsize=9, loc="left")
 
 
-def _cross_correlation(axes: Any, trace: Trace) -> None:
+def _cross_correlation(axes: Axes, trace: Trace) -> None:
     axes.set_xlabel("Lag [samples]", fontsize=SMALL)
     axes.set_ylabel("Correlation with the input [1]", fontsize=SMALL)
     if not np.any(trace.current):
@@ -107,7 +106,7 @@ def _cross_correlation(axes: Any, trace: Trace) -> None:
     axes.set_xlabel("Lag [samples]   (below 0: feedback)", fontsize=SMALL)
 
 
-def _stems(axes: Any, found: np.ndarray, band: float, *, first: int) -> None:
+def _stems(axes: Axes, found: np.ndarray, band: float, *, first: int) -> None:
     lags = np.arange(first, first + len(found))
     axes.axhspan(-band, band, zorder=0, label="99 % band", **NOISE)
     axes.vlines(lags, 0, found, color=_INK, linewidth=1)
@@ -119,7 +118,7 @@ def _stems(axes: Any, found: np.ndarray, band: float, *, first: int) -> None:
     tidy(axes)
 
 
-def _spectrum(axes: Any, trace: Trace) -> float | None:
+def _spectrum(axes: Axes, trace: Trace) -> float | None:
     """Draw the spectrum, and return the frequency of a peak far above the noise [Hz], or None."""
     dt = float(trace.time[1] - trace.time[0])
     residual = filled(trace.residual[np.argmax(np.isfinite(trace.residual)) :])

@@ -1,7 +1,6 @@
 """Pictures of a Monte Carlo study: errors beside the stated density, coverage, pairs, confusion, and envelopes."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import scipy.stats
@@ -296,7 +295,7 @@ def _confusion_says(found: StudyResults) -> str:
     return said
 
 
-def _broken(name: str) -> Any:
+def _broken(name: str) -> str:
     """Break a long name into two lines."""
     for sign in (".", " ", "_"):
         if sign in name and len(name) > 14:

@@ -8,6 +8,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -67,7 +69,7 @@ class Picture(Figure):
     def _repr_png_(self) -> bytes:
         return image_bytes(self, "png")
 
-    def draw(self, renderer: Any) -> None:
+    def draw(self, renderer: Any) -> None:  # one that makes vectors is no `RendererBase`
         """Draw with names as they are written: no $ in one begins mathematics, and a long one is shortened."""
         _show_as_written(self)
         with warnings.catch_warnings():
@@ -122,12 +124,12 @@ def prefixed(largest: float, unit: str) -> Scaled:
     return Scaled(1 / size, prefix + unit)
 
 
-def axis(channel: str, *signals: Any) -> Scaled:
+def axis(channel: str, *signals: np.ndarray) -> Scaled:
     """Return the scale for one channel that fits all these signals."""
     return prefixed(max((largest(s) for s in signals), default=1.0), UNITS[channel])
 
 
-def largest(values: Any) -> float:
+def largest(values: np.ndarray) -> float:
     """Return the largest absolute value that is finite, or zero."""
     found = np.abs(np.asarray(values, dtype=float))
     return float(np.max(found, where=np.isfinite(found), initial=0.0))
@@ -210,7 +212,7 @@ def title(figure: Figure, text: str) -> None:
     figure.suptitle("\n".join(lines).replace("\u00a0%", " %"), fontsize=11, fontweight="bold")
 
 
-def tidy(axes: Any) -> None:
+def tidy(axes: Axes) -> None:
     """Give axes a light grid, small tick labels, and no frame where nothing is read off."""
     axes.grid(True, color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -218,7 +220,7 @@ def tidy(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def plain_log_axis(axis: Any, lowest: float, highest: float) -> None:
+def plain_log_axis(axis: Axis, lowest: float, highest: float) -> None:
     """Label a logarithmic axis with plain numbers: at 1, 2 and 5 of every decade, or at 1 alone where these are many."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if highest < 50 * lowest else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -1,9 +1,9 @@
 """Maps of where the innovations of the base model are larger than they should be."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from estimators.diagnosis.diagnosis import Diagnosis
@@ -55,7 +55,7 @@ def _experiments(places: Sequence[Place]) -> tuple[list[Place], int]:
     return [place for place in own if place.label in names[:_MOST_EXPERIMENTS]], len(names)
 
 
-def _map(axes: Any, places: Sequence[Place], channels: list[str], kind: str, *, named: bool) -> None:
+def _map(axes: Axes, places: Sequence[Place], channels: list[str], kind: str, *, named: bool) -> None:
     labels = list(dict.fromkeys(place.label for place in sorted(places, key=lambda place: place.part)))
     excess = np.full((len(channels), len(labels)), np.nan)
     for place in places:

@@ -1,5 +1,6 @@
 """Gains of an extended Kalman filter along all experiments at once, for a model with random force and torque."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -7,13 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS, Data
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import ColourStates
 from rtac_jax import RTAC
 from rtac_jax.equations import delivered, friction_levels, sensor_outputs
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps, advance, unit_pushes, unrolls
+from rtac_jax.simulation import State, Steps, advance, unit_pushes, unrolls
 from rtac_jax.time_loop import time_loop
 
 OUTPUTS = len(CHANNELS)
@@ -71,10 +72,10 @@ def kalman(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: tuple[Array, Array, Array],
+    physical: Physical,
     *,
     sensor_variance: Float[Array, "output experiment"],
-    process: tuple[Any, Any],
+    process: tuple[Float[Array, ""], Float[Array, ""]],
     start_variance: Float[Array, "start experiment"],
     substeps: Steps,
 ) -> tuple[Filtered, Linearised]:
@@ -113,10 +114,10 @@ def kalman(
     strikes = impact_places(model)
     wide = (*(_VELOCITIES if rubs else ()), *strikes)
 
-    def one_sample(carry: tuple[Any, Array], row: dict[str, Any]) -> tuple[Any, Any]:
+    def one_sample(carry: tuple[State, Array], row: dict[str, Any]) -> tuple[tuple[State, Array], Any]:
         state, spread = carry
 
-        def shown(at: Any) -> tuple[Any, ...]:
+        def shown(at: State) -> State:
             return tuple(jnp.broadcast_to(y, shape) for y in sensor_outputs(placed, at))
 
         outputs, seen = _with_slopes(shown, state, unit)
@@ -146,7 +147,7 @@ def kalman(
 
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
 
-        def forward(at: Any) -> Any:
+        def forward(at: State) -> State:
             return advance(placed, at, current, force, excitation, substeps=substeps, unrolled=unrolled)
 
         pushes = unit_pushes(placed, state, excitation)
@@ -249,14 +250,20 @@ def impact_places(model: RTAC) -> tuple[int, ...]:
     )
 
 
-def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
+def _with_slopes(function: Callable[[State], State], state: State, unit: State) -> tuple[Array, Array]:
     """Return the value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
     return jnp.stack(value), jnp.stack(slopes)
 
 
 def _shaken(
-    model: RTAC, state: Any, current: Any, spread: Array, process: Any, pushes: Any, interval: Array
+    model: RTAC,
+    state: State,
+    current: Array | float,
+    spread: Array,
+    process: tuple[Float[Array, ""], Float[Array, ""]],
+    pushes: tuple[Array, Array],
+    interval: Array,
 ) -> Float[Array, " experiment"]:
     """Return 1 where an experiment is stick-slip ambiguous, else 0.
 
@@ -275,7 +282,10 @@ def _shaken(
 
 
 def _linearised(
-    function: Any, state: Any, spread: Float[Array, "state state experiment"], wide: tuple[int, ...]
+    function: Callable[[State], State],
+    state: State,
+    spread: Float[Array, "state state experiment"],
+    wide: tuple[int, ...],
 ) -> tuple[Float[Array, "row experiment"], Float[Array, "row state experiment"]]:
     """Return the next state and its derivatives, those by some states over one standard deviation to either side.
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS, Data
 from estimators.core.padded_experiments import experiments_at, padded
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.core.piecewise_triangle import LONG
 from estimators.prediction_error.ekf import Filtered, Linearised, kalman
 from estimators.prediction_error.noise_model import NoiseModel
@@ -91,7 +91,7 @@ _slope, _information = program(noise_slope), program(noise_information)
 
 
 def _filtered(
-    model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
+    model: RTAC, data: Data, space: Space, physical: Physical, noise: Array, scale: Array, sensor: Array, start: Array,
     substeps: Steps,
 ) -> tuple[Filtered, Linearised]:  # fmt: skip
     density = jnp.exp(noise[:2]) * scale
@@ -103,7 +103,7 @@ def _filtered(
 
 
 def run_filter(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Filtered:
     """Run the filter's pass at given noise; where experiments are long, by a program of its own, which takes less memory."""
     arguments = _arguments(model, data, space, physical, prior, noise, substeps)
@@ -112,7 +112,7 @@ def run_filter(
 
 
 def score_noise(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Passed:
     """Run the filter's pass at given noise, with the derivatives of its likelihood by that."""
     filtered, linear = _filter(*_arguments(model, data, space, physical, prior, noise, substeps))
@@ -120,7 +120,7 @@ def score_noise(
 
 
 def negative_log_likelihood(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> float:
     """Return the negative log-likelihood at given noise: the value of `score_noise`, without the derivatives."""
     found = _likelihood(*_arguments(model, data, space, physical, prior, noise, substeps))
@@ -128,14 +128,14 @@ def negative_log_likelihood(
 
 
 def prepare_filter(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> None:
     """Compile the filter of `score_noise`, and run nothing."""
     _filter.prepare(*_arguments(model, data, space, physical, prior, noise, substeps))
 
 
 def _arguments(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> tuple[Any, ...]:
     """Return what a pass is given, its experiments `padded`."""
     scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)

@@ -1,7 +1,7 @@
 """Fisher scoring to the maximum of the likelihood itself, in which the gains of the filter follow the physics."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -213,7 +213,7 @@ def _rows(
     """
     centre = seen(at)
 
-    def moved(part: str, row: int, move: Any) -> tuple[_Seen, np.ndarray]:
+    def moved(part: str, row: int, move: float | np.ndarray) -> tuple[_Seen, np.ndarray]:
         """Return the prediction and the part beside, within the bounds; where the model diverges, those of the centre."""
         here, low, high = (getattr(point, part) for point in (at, lower, upper))
         values = here.copy()

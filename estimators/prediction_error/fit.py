@@ -38,6 +38,7 @@ from rtac_jax.effect_contract import require_working_model
 from rtac_jax.excited_parts import excited_parts
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
+from rtac_jax.simulation import Steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,7 +251,7 @@ def prediction_error_nonlinear(
     )
 
 
-def _arguments_at(found: Predictor, model: RTAC, data: Data, space: Space, substeps: Any) -> Arguments:
+def _arguments_at(found: Predictor, model: RTAC, data: Data, space: Space, substeps: Steps) -> Arguments:
     return Arguments(model, data, space, found.filtered.whitener, found.filtered.gain, substeps)
 
 

@@ -1,7 +1,7 @@
 """The Kalman filter and smoother of two unknown forces beside a predictor's state, along the motion that it foretells."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from estimators.core.data import Data
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.core.residual import states_at_start
 from estimators.prediction_error.ekf import Wander, start_places, wandering
 from rtac_jax import RTAC
@@ -17,6 +17,8 @@ from rtac_jax.equations import delivered, sensor_outputs
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance, trajectories, unit_pushes
 from rtac_jax.time_loop import time_loop
+
+Kept = TypeVar("Kept")
 
 _ABREAST = 16  # experiments, each with a force of its own size, that are filtered at once: more at once take longer
 
@@ -38,7 +40,7 @@ def linearised(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: tuple[Array, Array, Array],
+    physical: Physical,
     gain: Array,
     variance: Array,
     start_variance: Array,
@@ -134,10 +136,10 @@ def _filter(
     data: Data,
     gain: Array,
     size: Array,
-    correlation_time: Any,
-    swing: Any,
-    keep_of: Callable[[_Filtered], Any],
-) -> Any:
+    correlation_time: Float[Array, ""],
+    swing: Float[Array, ""],
+    keep_of: Callable[[_Filtered], Kept],
+) -> Kept:
     """Filter the prediction errors with the two forces as further states, and return of every sample what is kept.
 
     A force is the real part of a phasor that turns at `swing` [rad/s] and forgets within `correlation_time` [s].
@@ -156,7 +158,7 @@ def _filter(
     fresh = unit * jnp.concatenate([linear.wander.fresh, (1 - keep**2) * power])
     spread = unit * jnp.concatenate([linear.begin, power])
 
-    def one(carry: Any, row: Any) -> Any:
+    def one(carry: tuple[Array, Array], row: tuple[Array, ...]) -> tuple[tuple[Array, Array], Kept]:
         mean, spread = carry
         transition, push, shown, error, present, trusted, correction, lasts = row
         before = (mean, spread)
@@ -190,7 +192,14 @@ def _filter(
 
 
 @program
-def likelihoods(linear: LinearPath, data: Data, gain: Array, sizes: Array, correlation_time: Any, swing: Any) -> Array:
+def likelihoods(
+    linear: LinearPath,
+    data: Data,
+    gain: Array,
+    sizes: Array,
+    correlation_time: Float[Array, ""],
+    swing: Float[Array, ""],
+) -> Array:
     """Return the log-likelihood of all outputs for each pair of sizes of the two forces, [trial port]."""
     return jax.lax.map(
         lambda size: _filter(linear, data, gain, size, correlation_time, swing, lambda row: row.likelihood).sum(),
@@ -200,7 +209,12 @@ def likelihoods(linear: LinearPath, data: Data, gain: Array, sizes: Array, corre
 
 @program
 def smoothed(
-    linear: LinearPath, data: Data, gain: Array, size: Array, correlation_time: Any, swing: Any
+    linear: LinearPath,
+    data: Data,
+    gain: Array,
+    size: Array,
+    correlation_time: Float[Array, ""],
+    swing: Float[Array, ""],
 ) -> tuple[Array, Array]:
     """Return mean and variance of the two forces, [sample port experiment].
 
@@ -209,7 +223,7 @@ def smoothed(
     """
     found = _filter(linear, data, gain, size, correlation_time, swing, lambda row: row)
 
-    def one(later: tuple[Array, Array], row: _Filtered) -> Any:
+    def one(later: tuple[Array, Array], row: _Filtered) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         slope, curvature = (jnp.where(row.lasts, x, 0.0) for x in later)
         slope = jnp.sum(row.forward * slope[:, None], axis=0)
         curvature = jnp.einsum("bae,bce->ace", row.forward, jnp.einsum("bce,cde->bde", curvature, row.forward))

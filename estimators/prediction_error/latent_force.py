@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from scipy.signal import periodogram
 
 from estimators.core.data import Data
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.prediction_error.force_smoother import likelihoods, linearised, smoothed
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
@@ -78,7 +78,7 @@ def latent_forces(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: tuple[Array, Array, Array],
+    physical: Physical,
     gain: Array,
     substeps: Steps,
     experiments: Sequence[Experiment],

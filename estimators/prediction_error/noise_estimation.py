@@ -3,17 +3,18 @@
 import dataclasses
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data
 from estimators.core.deadline import require_time
 from estimators.core.jacobian_factor import Arguments, Passes
-from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.parameter_space import Physical, Space, Unknowns
+from estimators.core.progress import Tell
 from estimators.prediction_error.ekf import Filtered
 from estimators.prediction_error.filter_pass import (
     Curvature,
@@ -59,7 +60,7 @@ class Predictor:
     """
 
     unknowns: Unknowns
-    physical: tuple[Array, Array, Array]
+    physical: Physical
     noise: Float[np.ndarray, " noise"]
     filtered: Filtered
     log_likelihood: float
@@ -120,7 +121,7 @@ def fit_noise(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: Any,
+    physical: Physical,
     prior: NoiseModel,
     first: np.ndarray | None,
     substeps: Steps,
@@ -241,7 +242,7 @@ def _climbed(scored: Callable[[np.ndarray, Curvature | None], _Scored], here: _S
 
 def fit_trusted(
     model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, off_bounds: float = 0.0,
-    progress: Any = None,
+    progress: Tell | None = None,
 ) -> tuple[Predictor, Data]:  # fmt: skip
     """Fit the predictor, and again from there `without_shaken` samples; return it and the data that counted."""
     options = {"substeps": substeps, "rounds": rounds, "progress": progress}
@@ -263,7 +264,7 @@ def fit_predictor(
     first: np.ndarray | None = None,
     rounds: int = 10,
     off_bounds: float = 0.0,
-    progress: Any = None,
+    progress: Tell | None = None,
 ) -> Predictor:
     """Fit physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
 

@@ -4,8 +4,6 @@ The linearised model is taken as it is: its own change with the noise would cost
 is algebra of arrays, compiled once for all models of as many states.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -32,7 +30,7 @@ def noise_slope(filtered: Filtered, linear: Linearised, length: Int[Array, ""]) 
     """
     states, experiments = linear.transition.shape[1], linear.transition.shape[3]
 
-    def back(number: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def back(number: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         by_state, by_spread, slope = carry
         at, row = _row(filtered, linear, length - 1 - number)
         kept, carried = _moved(row, at.gain)
@@ -72,7 +70,7 @@ def noise_information(
     count, process = len(linear.fresh), linear.pushes.shape[1]
     sensors = jnp.concatenate([jnp.zeros((process, outputs)), jnp.eye(outputs)])[:, :, None] * linear.variance
 
-    def onward(k: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def onward(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Carry the derivatives of the predicted state and its covariance by each noise one sample on."""
         state, spread, information = carry
         at, row = _row(filtered, linear, k)
@@ -101,7 +99,7 @@ def noise_information(
     return jax.lax.fori_loop(0, length, onward, start)[2]
 
 
-def _row(filtered: Filtered, linear: Linearised, k: Any) -> tuple[Filtered, Linearised]:
+def _row(filtered: Filtered, linear: Linearised, k: Int[Array, ""]) -> tuple[Filtered, Linearised]:
     """Return a sample of what has samples."""
 
     def of(rows: Array) -> Array:

@@ -1,12 +1,10 @@
 """The number of integration steps that a sample needs where the state is mended at every sample."""
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 
 from estimators.core.data import Data
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.core.step_size import MOST_SUBSTEPS, STEP_ERROR
 from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.noise_estimation import first_noise, low_process_noise
@@ -16,7 +14,7 @@ from rtac_jax.simulation import substeps_for
 
 
 def predictive_substeps(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, most: int = MOST_SUBSTEPS
+    model: RTAC, data: Data, space: Space, physical: Physical, prior: NoiseModel, most: int = MOST_SUBSTEPS
 ) -> int:
     """Return the fewest Runge-Kutta steps per sample with which predictions one sample ahead are accurate enough.
 

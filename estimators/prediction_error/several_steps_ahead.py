@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from estimators.core.data import Data
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Physical, Space
 from estimators.core.residual import states_at_start
 from rtac_jax import RTAC
 from rtac_jax.equations import delivered, sensor_outputs
@@ -21,7 +21,7 @@ def predict_ahead(
     model: RTAC,
     data: Data,
     space: Space,
-    physical: tuple[Array, Array, Array],
+    physical: Physical,
     gain: Float[Array, "sample state output experiment"],
     *,
     ahead: int,

@@ -128,7 +128,7 @@ def models_table(found: Envelope) -> Table:
     )
 
 
-def roots(values: Any) -> str:
+def roots(values: np.ndarray) -> str:
     """Format roots as text; a pair is one entry."""
     shown = [v for v in np.sort_complex(np.asarray(values)) if v.imag >= 0]
     return ", ".join(f"{v.real:.4g}" + (f" ± j{v.imag:.4g}" if v.imag > 0 else "") for v in shown) or "none"
@@ -250,6 +250,6 @@ def _equality(models: LinearModels) -> str:
         return f"Whether the conditions have the same parameters cannot be told: {error}"
 
 
-def pairs(values: Any) -> list[list[float]]:
+def pairs(values: np.ndarray) -> list[list[float]]:
     """Convert complex numbers for JSON: real and imaginary part."""
     return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]

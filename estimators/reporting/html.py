@@ -89,7 +89,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
     write_bytes(path, (json.dumps(cleaned(content), indent=1, allow_nan=False) + "\n").encode())
 
 
-def cleaned(value: Any) -> Any:
+def cleaned(value: object) -> Any:
     """Reduce a value to what JSON knows: it has neither NaN nor infinity, and no arrays."""
     if isinstance(value, Mapping):
         return {str(key): cleaned(part) for key, part in value.items()}

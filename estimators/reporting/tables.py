@@ -10,13 +10,14 @@ from estimators.core.fit import Fit, Parameter
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
+from estimators.prediction_error.fit import PredictorFit
 from estimators.reporting.html import Table
 from estimators.validation.simulation_error import Comparison
 from estimators.validation.trace import colour_of
 from rtac_jax.measurement import OUTPUTS
 
 
-def every_parameter(fit: Fit) -> dict[str, Parameter]:
+def every_parameter(fit: Fit | PredictorFit) -> dict[str, Parameter]:
     """Return the shared parameters, and those that each experiment has for itself as NAME[EXPERIMENT].
 
     The latter have no deviation.
@@ -57,7 +58,9 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
     return Table(tuple(header), tuple(rows), f"Error of {what}; the noise is that of the sensor. {lost}".rstrip())
 
 
-def parameter_table(fit: Fit, *, base: Fit | None = None, estimates: Mapping[str, Parameter] | None = None) -> Table:
+def parameter_table(
+    fit: Fit | PredictorFit, *, base: Fit | None = None, estimates: Mapping[str, Parameter] | None = None
+) -> Table:
     """Return a table of parameters with standard deviations; with a base fit its values before them.
 
     Args:

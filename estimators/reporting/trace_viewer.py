@@ -64,6 +64,6 @@ def _signals(several: list[tuple[str, Trace]]) -> dict[str, Any]:
     }
 
 
-def _numbers(values: Any) -> list[float | None]:
+def _numbers(values: np.ndarray) -> list[float | None]:
     """Return numbers in five figures, which is finer than a screen; None where nothing was measured."""
     return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]

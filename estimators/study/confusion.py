@@ -1,7 +1,6 @@
 """The confusion of a study's diagnoses: named effects beside hidden ones."""
 
 import collections
-from typing import Any
 
 import numpy as np
 
@@ -59,7 +58,7 @@ def _column_of(results: Kept, estimator: str | None) -> int:
     return results.estimators.index(estimator or names[0])
 
 
-def _outcome(results: Kept, row: Any, column: int) -> str:
+def _outcome(results: Kept, row: int | np.integer, column: int) -> str:
     if results.arrays["reason"][row, column]:
         return "failed"
     return outcome(

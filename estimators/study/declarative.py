@@ -36,7 +36,7 @@ class Values(Mapping[str, Any]):
         return f"Values({self._given})"
 
 
-def frozen(value: Any) -> Any:
+def frozen(value: object) -> Any:
     """Return the value with lists as tuples and tables as `Values`."""
     if isinstance(value, Mapping):
         return value if isinstance(value, Values) else Values(value)
@@ -50,7 +50,7 @@ def _types_of(record: type) -> dict[str, Any]:
     return typing.get_type_hints(record)
 
 
-def freeze_fields(record: Any, place: str) -> None:
+def freeze_fields(record: object, place: str) -> None:
     """Bring every field of a frozen record to its declared type, as its `__post_init__` does first.
 
     Raises:
@@ -84,7 +84,7 @@ def from_table(record: type[Record], table: Mapping[str, Any], place: str) -> Re
     return record(**given)
 
 
-def to_table(record: Any) -> Any:
+def to_table(record: object) -> Any:
     """Return the record as plain dictionaries, lists and scalars, every field stated."""
     if dataclasses.is_dataclass(record):
         return {field.name: to_table(getattr(record, field.name)) for field in dataclasses.fields(record)}
@@ -95,7 +95,7 @@ def to_table(record: Any) -> Any:
     return record
 
 
-def _converted(value: Any, declared: Any, place: str, *, read: bool = False) -> Any:
+def _converted(value: object, declared: Any, place: str, *, read: bool = False) -> Any:
     """Return the value in the declared type; tables become records only where a file is `read`."""
     origin = typing.get_origin(declared)
     if origin is typing.Literal:
@@ -132,7 +132,7 @@ def _converted(value: Any, declared: Any, place: str, *, read: bool = False) -> 
     return value
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list | tuple):

@@ -7,13 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.closed_form.fit import least_squares
+from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.results import RESULTS
 from estimators.diagnosis.diagnose import diagnose
 from estimators.frequency_response.estimate import frequency_responses
 from estimators.linear.fit import prediction_error
 from estimators.output_error.fit import output_error
-from estimators.prediction_error.fit import prediction_error_nonlinear
+from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.study.batched_fits import fit_together, suits
 from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.recordings import NEW
@@ -118,7 +119,7 @@ def _weak_form(prepared: Prepared, options: Mapping[str, Any], start: str) -> Ou
     return _closed_form(prepared, options, weak=True)
 
 
-def _shared(found: Any) -> dict[str, Value]:
+def _shared(found: Fit | PredictorFit) -> dict[str, Value]:
     return {n: Value(found.parameters[n].value, found.parameters[n].std) for n in found.information.names}
 
 
@@ -127,11 +128,11 @@ def _output_error(prepared: Prepared, options: Mapping[str, Any], start: str) ->
     return Outcome(_shared(found), {"residual": _residual(found)}, _ended(found))
 
 
-def _residual(fit: Any) -> float:
+def _residual(fit: Fit) -> float:
     return max(rms / fit.noise[channel] for channel, rms in fit.residual_std.items())
 
 
-def _ended(fit: Any) -> str:
+def _ended(fit: Fit) -> str:
     ended = (n for n in ("successful", "starts_disagree") if bool(fit.result == getattr(RESULTS, n)))
     return next(ended, "steps_exhausted")
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,7 +23,7 @@ class Labelled:
     axes: tuple[str, ...]
     coordinates: Mapping[str, tuple[Any, ...]]
 
-    def sel(self, **places: Any) -> "Labelled":
+    def sel(self, **places: object) -> "Labelled":
         """Return the part at these places, such as `sel(parameter="spring_stiffness")`.
 
         Raises:
@@ -39,7 +40,7 @@ class Labelled:
             axes.remove(axis)
         return Labelled(values, tuple(axes), {axis: self.coordinates[axis] for axis in axes})
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def __float__(self) -> float:

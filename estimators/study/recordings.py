@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -124,7 +124,14 @@ def _to_simulate(plan: virtual_rig.Plan) -> Experiment:
 
 # A study of free decays simulates what differs in starts and parameters only.
 @functools.lru_cache(maxsize=256)
-def _undriven(name: str, kind: Any, samples: int, sample_time: float, arm: Any, cart: Any) -> Experiment:
+def _undriven(
+    name: str,
+    kind: Literal["free", "forced", "rest"],
+    samples: int,
+    sample_time: float,
+    arm: Literal["free", "locked"],
+    cart: Literal["free", "clamped"],
+) -> Experiment:
     return virtual_rig.Plan(name, kind, samples * sample_time, sample_time, arm=arm, cart=cart).to_simulate()
 
 

@@ -374,7 +374,7 @@ def _options_of(function: Callable[..., Any]) -> list[str]:
     return [name for name in inspect.signature(function).parameters if name not in _NOT_OPTIONS]
 
 
-def _check_value(place: str, value: Any) -> None:
+def _check_value(place: str, value: object) -> None:
     """Check that a value is a number or an interval to draw from."""
     if isinstance(value, bool) and place.endswith(".encoder"):
         return
@@ -384,7 +384,7 @@ def _check_value(place: str, value: Any) -> None:
         raise SpecError(f"{place}: is {value!r}; give a number, or [low, high] to draw from.")
 
 
-def _middle(value: Any) -> Any:
+def _middle(value: object) -> Any:
     return 0.5 * (value[0] + value[1]) if isinstance(value, tuple) else value
 
 

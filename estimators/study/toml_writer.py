@@ -30,7 +30,7 @@ def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     return lines
 
 
-def _is_section(value: Any) -> bool:
+def _is_section(value: object) -> bool:
     """Return whether a value has a header, as tables of tables and lists of tables have; a table of scalars stands in its line."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, Mapping) for part in value)
@@ -45,7 +45,7 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -149,7 +149,7 @@ def true_for(spec: StudySpec, index: int) -> Truth:
     return Truth(values | _derived(values), model, hidden, excitation)
 
 
-def _drawn(value: Any, random: np.random.Generator) -> Any:
+def _drawn(value: object, random: np.random.Generator) -> Any:
     return float(random.uniform(*value)) if isinstance(value, tuple) else value
 
 

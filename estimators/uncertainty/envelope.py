@@ -324,7 +324,7 @@ def _held(names: Sequence[str], held_out: Sequence[int | str]) -> Bool[np.ndarra
     return held
 
 
-def _representable(responses: Responses, omega: Any, kind: Kind) -> PlantSet:
+def _representable(responses: Responses, omega: Float64[np.ndarray, " grid"] | None, kind: Kind) -> PlantSet:
     """Gather the responses on one grid, and check that this kind of uncertainty can represent them.
 
     Raises:
@@ -353,6 +353,6 @@ def _given(nominal: ct.TransferFunction | ct.StateSpace) -> ct.TransferFunction:
     return _named(ct.tf(nominal), "P0")
 
 
-def _named(system: Any, name: str) -> ct.TransferFunction:
+def _named(system: ct.TransferFunction, name: str) -> ct.TransferFunction:
     system.name = name
     return system

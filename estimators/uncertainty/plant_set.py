@@ -37,7 +37,7 @@ class PlantSet(NamedTuple):
     systems: tuple[Any, ...] | None
 
 
-def gather(responses: Responses, omega: Any) -> PlantSet:
+def gather(responses: Responses, omega: Float64[np.ndarray, " grid"] | None) -> PlantSet:
     """Gather responses on one grid.
 
     Raises:

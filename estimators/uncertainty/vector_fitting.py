@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
+Poles = Complex128[np.ndarray, " pole"]
+
 _SWEEPS = 15
 _DAMPED = 1e-4  # smallest damping ratio of a pole
 
@@ -96,7 +98,7 @@ def _half(poles: Any) -> Any:
     return np.concatenate([upper, real.astype(np.complex128)])
 
 
-def _partial_fractions(s: np.ndarray, poles: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _partial_fractions(s: np.ndarray, poles: Poles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     columns, blocks, into = [], [], []
     for p in poles:
         if p.imag == 0:
@@ -116,7 +118,7 @@ def _partial_fractions(s: np.ndarray, poles: Any) -> tuple[np.ndarray, np.ndarra
     return np.stack(columns, axis=1), matrix, np.array(into)
 
 
-def _factors(poles: Any, order: int) -> tuple[np.ndarray, np.ndarray]:
+def _factors(poles: Poles, order: int) -> tuple[np.ndarray, np.ndarray]:
     pairs = [(-2 * p.real, abs(p) ** 2) for p in poles if p.imag != 0]
     real = [-p.real for p in poles if p.imag == 0]
     while len(real) > 1:

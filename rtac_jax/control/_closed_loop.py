@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import expm
 
+from rtac_jax._numbers import State
 from rtac_jax._rtac import RTAC
 from rtac_jax.configuration import require_configured
 from rtac_jax.control._checks import state_space
@@ -45,12 +46,12 @@ class _Loop(eqx.Module):
     arm_stiffness: Float[Array, ""]
     ramps: bool = eqx.field(static=True)
 
-    def measured(self, plant: tuple[Any, ...], noise: Any) -> tuple[Any, Any]:
+    def measured(self, plant: State, noise: Float[Array, "2 plant"]) -> tuple[Any, Any]:
         """Return the cart position in the controller's units, and the arm angle [rad]."""
         shown = sensor_outputs(self.model, plant)
         return self.position * (shown.cart_position + noise[0]), shown.arm_angle + noise[1]
 
-    def respond(self, own: Array, plant: tuple[Any, ...], noise: Any) -> tuple[Array, Array]:
+    def respond(self, own: Array, plant: State, noise: Float[Array, "2 plant"]) -> tuple[Array, Array]:
         """Return the torque [N m] that the sensors' readings call for, and the controller's next states."""
         error, angle = self.measured(plant, noise)
         cosine = jnp.cos(angle)
@@ -174,7 +175,7 @@ def _run(
         torque, _ = loop.respond(carry.own, carry.plant, wrong)
         shown = jnp.stack([carry.plant[0], carry.plant[2], carry.plant[3], torque])
 
-        def one_step(_: Any, at: _Carry) -> _Carry:
+        def one_step(_: Array, at: _Carry) -> _Carry:
             now, following = loop.respond(at.own, at.plant, wrong)
             current = (now, now - at.before) if loop.ramps else (now,)
             driven = tuple(part / loop.torque_constant for part in current)
@@ -241,7 +242,7 @@ def _check(*, positive: dict[str, float], others: dict[str, float]) -> None:
             raise ValueError(f"{name} is {value}, but must be {kind} and finite.")
 
 
-def _plants(model: RTAC, displacement: Any, arm_angle: Any) -> int:
+def _plants(model: RTAC, displacement: float | np.ndarray, arm_angle: float | np.ndarray) -> int:
     """Return the number of plants that run side by side."""
     shapes = {name: np.shape(model[name]) for name in model.parameters}
     shapes |= {"displacement": np.shape(displacement), "arm_angle": np.shape(arm_angle)}

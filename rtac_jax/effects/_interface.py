@@ -14,6 +14,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from rtac_jax._numbers import Number
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.parameters import Scales, declarations
 
@@ -213,7 +214,7 @@ class Effect(eqx.Module):
         return tuple(cls(**dict(zip(names, point, strict=True))) for point in itertools.product(*axes))
 
 
-def in_parts(told: Any, effect: Effect, method: str, parts: Sequence[str]) -> tuple[Any, ...]:
+def in_parts(told: object, effect: Effect, method: str, parts: Sequence[str]) -> tuple[Any, ...]:
     """Return the values that a method of an effect returned, one for each part, after checking their number.
 
     The method may be a user's own.
@@ -291,7 +292,7 @@ class Impact(Effect):
         return tuple(0.0 * x for x in own)
 
     @abstractmethod
-    def strike(self, motion: Motion, own: States, mobility: Any) -> tuple[States, Any, Any]:
+    def strike(self, motion: Motion, own: States, mobility: Number) -> tuple[States, Any, Any]:
         """Return the states and the impulse after the step that ends with this motion.
 
         Args:
@@ -311,7 +312,7 @@ class Actuator(Effect):
     port: ClassVar[str] = "actuator"
 
     @abstractmethod
-    def current(self, current: Any, own: States) -> Any:
+    def current(self, current: Number, own: States) -> Any:
         """Return the current after this stage [A], from the current before it [A]."""
 
 
@@ -321,7 +322,7 @@ class Input(Effect):
     port: ClassVar[str] = "actuator"
 
     @abstractmethod
-    def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
+    def transform(self, coefficients: Pieces, channel: str, sample_time: Number) -> Pieces:
         """Return an input after this stage, as polynomials in the fraction of each interval, rising powers.
 
         Args:
@@ -345,7 +346,7 @@ class Sensor(Effect):
         """Return the outputs after this stage."""
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """Return a parameter's value in a few characters; of what is traced or no number, what it is."""
     try:
         numbers = np.asarray(value, dtype=float)

@@ -4,13 +4,15 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from rtac_jax._numbers import Number
 
-def decay(ratio: Any) -> Any:
+
+def decay(ratio: Number) -> Any:
     """Return exp(-1 / ratio) for a time constant in units of the step; 0, with derivative 0, where there is no lag."""
     return jnp.exp(-1.0 / jnp.maximum(ratio, 1e-3))
 
 
-def behind(by: Any, ratio: Any, change: Any, bend: Any = 0.0) -> Any:
+def behind(by: Number, ratio: Number, change: Number, bend: Number = 0.0) -> Any:
     """Return the lead of a lag's output over its input after a step, for an input that is straight or a parabola.
 
     Args:
@@ -24,7 +26,7 @@ def behind(by: Any, ratio: Any, change: Any, bend: Any = 0.0) -> Any:
     return even + bend * ratio * ((2.0 * ratio - 1.0) - (2.0 * ratio + 1.0) * left)
 
 
-def averaged(by: Any, ratio: Any, change: Any, elapsed: Any) -> Any:
+def averaged(by: Number, ratio: Number, change: Number, elapsed: Number) -> Any:
     """Return the lead within the step, as the straight line over the step with the same mean and the same first moment.
 
     A lag that is much shorter than the step would be missed, or taken for longer than it is, by the few instants at

@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Actuator, Motion, States
 from rtac_jax.effects._lag import averaged, behind
@@ -25,7 +26,7 @@ class Saturation(Actuator):
         plausible=lambda s: 0.8 / s.current,
     )  # fmt: skip
 
-    def current(self, current: Any, own: States) -> Any:
+    def current(self, current: Number, own: States) -> Any:
         return current / jnp.maximum(1.0, self.inverse_limit * jnp.abs(current))
 
 
@@ -48,7 +49,7 @@ class CurrentLag(Actuator):
         plausible=lambda s: 2.0 * s.sample_time,
     )  # fmt: skip
 
-    def current(self, current: Any, own: States) -> Any:
+    def current(self, current: Number, own: States) -> Any:
         return jnp.where(self.time_constant > 0, own[0], current)
 
     def remark(self, body: RigidBody) -> str:
@@ -83,7 +84,7 @@ class CurrentOffset(Actuator):
         plausible=lambda s: 0.03 * s.current,
     )  # fmt: skip
 
-    def current(self, current: Any, own: States) -> Any:
+    def current(self, current: Number, own: States) -> Any:
         return current + self.offset
 
     def remark(self, body: RigidBody) -> str:
@@ -106,7 +107,7 @@ class DeadZone(Actuator):
         plausible=lambda s: 0.05 * s.current,
     )  # fmt: skip
 
-    def current(self, current: Any, own: States) -> Any:
+    def current(self, current: Number, own: States) -> Any:
         return current - jnp.clip(current, -self.threshold, self.threshold)
 
 
@@ -122,5 +123,5 @@ class TorqueDroop(Actuator):
         null=0.0, plausible=lambda s: 0.1 / s.current,
     )  # fmt: skip
 
-    def current(self, current: Any, own: States) -> Any:
+    def current(self, current: Number, own: States) -> Any:
         return current / (1.0 + self.droop * jnp.abs(current))

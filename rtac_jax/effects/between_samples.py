@@ -7,7 +7,9 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from rtac_jax._numbers import Number
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Input, Pieces
 from rtac_jax.excitation import BEYOND
@@ -41,7 +43,7 @@ class InputHold(Input):
         plausible=(3.0, 1.0, 0.0),
     )  # fmt: skip
 
-    def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
+    def transform(self, coefficients: Pieces, channel: str, sample_time: Number) -> Pieces:
         values = coefficients[:, 0]
         ahead = jnp.concatenate([values[1:], values[-1:]])
         count = len(values)
@@ -95,14 +97,14 @@ class InputDelay(Input):
         del body
         return "Sensors that are all late by as much, as behind filters that are alike, are the same as input_delay."
 
-    def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
+    def transform(self, coefficients: Pieces, channel: str, sample_time: Number) -> Pieces:
         return delayed(coefficients, self.delay, sample_time) if channel == "current" else coefficients
 
     def dead_time(self) -> Any:
         return self.delay
 
 
-def delayed(coefficients: Pieces, delay: Any, sample_time: Any) -> Pieces:
+def delayed(coefficients: Pieces, delay: Number, sample_time: Number) -> Pieces:
     """Return an input that comes later, as `InputDelay` says."""
     count, powers = coefficients.shape[:2]
     shift = jnp.minimum(delay / sample_time, count)
@@ -112,7 +114,7 @@ def delayed(coefficients: Pieces, delay: Any, sample_time: Any) -> Pieces:
     rows = jnp.concatenate([first, coefficients])
     place = jnp.arange(count)[:, None] - whole.astype(int) + 1
 
-    def shifted(of: Any) -> tuple[Any, Any]:
+    def shifted(of: Pieces) -> tuple[Pieces, Pieces]:
         """Return the pieces that an interval sees of the last whole sample before, and of the one before that."""
         now, late = (jnp.clip(at, 0, count)[:, None, :] for at in (place, place - 1))
         return jnp.take_along_axis(of, now, axis=0), jnp.take_along_axis(of, late, axis=0)
@@ -136,12 +138,12 @@ def straightened(coefficients: Pieces) -> Pieces:
     return _projected(_moments(whole, 0.0, 0.0, powers), coefficients)
 
 
-def _projected(moments: Any, pieces: Any) -> Any:
+def _projected(moments: Array, pieces: Pieces) -> Pieces:
     """Return the sum over the powers of the pieces of what each of them contributes: [interval, power, experiment]."""
     return jnp.einsum("kpe,spe->ske", moments, pieces)
 
 
-def _moments(length: Any, begin: Any, source: Any, powers: int) -> Any:
+def _moments(length: Array, begin: Array | float, source: Array | float, powers: int) -> Array:
     """Return the projection of a stretch of an interval on straight lines: [power of result, power of source, experiment].
 
     Args:

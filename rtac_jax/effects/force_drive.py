@@ -5,7 +5,9 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from rtac_jax._numbers import Number
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Input, Motion, Pieces, States
 from rtac_jax.effects._lag import averaged, behind
@@ -92,7 +94,7 @@ class ForceDelay(Input):
         del body
         return "Sensors that are all late by as much are the same as force_delay."
 
-    def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
+    def transform(self, coefficients: Pieces, channel: str, sample_time: Number) -> Pieces:
         return delayed(coefficients, self.delay, sample_time) if channel == "force" else coefficients
 
 
@@ -118,13 +120,13 @@ class ForceLag(Input):
         del body
         return "Sensors that all lag by as much are nearly the same as force_lag."
 
-    def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
+    def transform(self, coefficients: Pieces, channel: str, sample_time: Number) -> Pieces:
         if channel != "force":
             return coefficients
         ratio, line = self.time_constant / sample_time, straightened(coefficients)
         first, last = line[:, 0], line[:, 0] + line[:, 1]
 
-        def onward(force: Any, row: Any) -> tuple[Any, Any]:
+        def onward(force: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
             begin, end = row
             return end + behind(force - begin, ratio, end - begin), force - begin
 

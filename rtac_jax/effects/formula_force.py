@@ -2,11 +2,13 @@
 
 import functools
 import hashlib
+from types import ModuleType
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 from rtac_jax.effects._interface import Force, Motion, States
 from rtac_jax.effects.spline_force import PORT_UNITS, PORTS, VARIABLE_UNITS, VARIABLES, on_curve
 from rtac_jax.parameters import parameter
@@ -35,7 +37,7 @@ class Term(NamedTuple):
         """Return whether a parameter of its own shapes the term."""
         return self.kind in _SHAPED and self.number == 0
 
-    def value(self, x: Any, shape: Any, slow: Any, xp: Any = np) -> Any:
+    def value(self, x: Number, shape: Number, slow: Number, xp: ModuleType = np) -> Any:
         """Return the term at x with a coefficient of one.
 
         Args:

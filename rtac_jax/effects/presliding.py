@@ -6,16 +6,17 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 from rtac_jax.effects._interface import Force, Motion, States
 from rtac_jax.parameters import Scalar, parameter
 
 
-def _bend(bent: Any, speed: Any, yields_at: Any) -> Any:
+def _bend(bent: Number, speed: Number, yields_at: Number) -> Any:
     """Return how fast bristles bend that are bent so far, at this speed."""
     return speed - jnp.abs(speed) * bent / yields_at
 
 
-def _bent(bent: Any, path: Any, yields_at: Any) -> Any:
+def _bent(bent: Number, path: Number, yields_at: Number) -> Any:
     """Return how far bristles are bent after a path without a turn, from where they were bent at its beginning."""
     end = jnp.where(path < 0, -yields_at, yields_at)
     return end - (end - bent) * jnp.exp(-jnp.abs(path) / yields_at)

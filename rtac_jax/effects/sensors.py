@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 from rtac_jax.effects._interface import Motion, Outputs, Sensor, States
 from rtac_jax.effects._lag import behind
 from rtac_jax.parameters import Scalar, parameter
@@ -31,7 +32,7 @@ def _late(meaning: str, samples: float) -> Any:
     )  # fmt: skip
 
 
-def _lag_rate(time_constant: Any, ahead: Any, speed: Any) -> States:
+def _lag_rate(time_constant: Number, ahead: Number, speed: Number) -> States:
     acts = time_constant > 0
     return (jnp.where(acts, -ahead / jnp.where(acts, time_constant, 1.0) - speed, 0.0),)
 

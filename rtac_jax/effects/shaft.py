@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Impact, Motion, Outputs, States
 from rtac_jax.parameters import Scalar, parameter
@@ -105,7 +106,7 @@ class Backlash(Impact):
     )
     rotor: Scalar = _rotor_share((0.3,))
 
-    def strike(self, motion: Motion, own: States, mobility: Any) -> tuple[States, Any, Any]:
+    def strike(self, motion: Motion, own: States, mobility: Number) -> tuple[States, Any, Any]:
         twist, rate = own
         began, step, inertia = motion.began, motion.step, self.rotor * motion.body.arm_inertia
         push = 0.5 * step * motion.body.torque_constant * (began.current + motion.current)

@@ -1,5 +1,6 @@
 """A learned force: a curve in one variable, for what no effect of the catalogue explains."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rtac_jax._numbers import Number
 from rtac_jax.effects._interface import Force, Motion, States
 from rtac_jax.parameters import Scalar, parameter
 
@@ -41,7 +43,12 @@ Curve = Float[Array, " knot"]
 
 
 def curve_value(
-    heights: Any, motion: Motion, variable: Float[Array, " variable"], first: Any, spacing: Any, slow: Any
+    heights: Sequence[Number] | Array,
+    motion: Motion,
+    variable: Float[Array, " variable"],
+    first: Number,
+    spacing: Number,
+    slow: Number,
 ) -> Any:
     """Return the piecewise linear curve through heights at equally spaced knots, at the present value of a variable.
 
@@ -57,7 +64,7 @@ def curve_value(
 
 
 def on_curve(
-    motion: Motion, variable: Float[Array, " variable"], first: Any, spacing: Any, slow: Any
+    motion: Motion, variable: Float[Array, " variable"], first: Number, spacing: Number, slow: Number
 ) -> tuple[Any, Any]:
     """Return the present place of a variable on a curve, in knots from the first, and the factor of the curve there.
 

@@ -1,8 +1,9 @@
 """A digest of what a file means, so that a damaged one is never read as other numbers."""
 
 import hashlib
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+
+import numpy as np
 
 from ._contents import Contents
 from ._errors import RecordingError
@@ -63,7 +64,7 @@ def _parts(recording: Contents) -> Iterator[tuple[str, str]]:
                 yield f"{place}/{side}/{name}", _hash(kept, signal.values)
 
 
-def _hash(attributes: dict[str, Any], values: Any = None) -> str:
+def _hash(attributes: Mapping[str, object], values: np.ndarray | None = None) -> str:
     made = hashlib.sha256()
     for name, value in attributes.items():
         # repr tells 1 from 1.0 and from "1", and gives every bit of a float.

@@ -233,7 +233,7 @@ class Experiment:
         )
 
 
-def check_name(name: Any) -> None:
+def check_name(name: object) -> None:
     """Refuse what cannot name an experiment, in memory and in a file.
 
     Raises:

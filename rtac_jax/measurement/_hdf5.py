@@ -244,7 +244,9 @@ def children(group: h5py.Group, known: tuple[str, ...] | None) -> dict[str, Any]
     return members
 
 
-def _group(member: Any, children_allowed: tuple[str, ...] | None = None) -> h5py.Group:
+def _group(
+    member: h5py.Group | h5py.Dataset | h5py.Datatype, children_allowed: tuple[str, ...] | None = None
+) -> h5py.Group:
     if not isinstance(member, h5py.Group):
         raise RecordingError(f"{member.name}: is not a group; store a group there.")
     if children_allowed is not None:

@@ -86,7 +86,7 @@ def _stored(parent: Any, key: str, structure: Field | None, name: str, file: h5p
     raise RecordingError(_no_element(name, structure.name, count))
 
 
-def _listed(group: Any) -> list[str]:
+def _listed(group: object) -> list[str]:
     # MATLAB keeps what variables refer to under names with a #.
     return [str(key) for key in group if not str(key).startswith("#")] if isinstance(group, h5py.Group) else []
 

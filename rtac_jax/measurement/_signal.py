@@ -56,7 +56,7 @@ def positive(place: str, value: Any, meaning: str) -> float:
     return number
 
 
-def one_of(place: str, value: Any, meaning: str, allowed: tuple[str, ...]) -> None:
+def one_of(place: str, value: object, meaning: str, allowed: tuple[str, ...]) -> None:
     """Refuse a value that is not one of the allowed ones.
 
     Raises:

@@ -1,14 +1,16 @@
 """Numbers of NumPy as arrays of JAX, with nothing compiled for it, and whether numbers are known or traced."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._numbers import Number
 
-def to_jax(value: Any) -> jax.Array:
+
+def to_jax(value: Number | Sequence[Number]) -> jax.Array:
     """Return a copy of an array of NumPy as one of JAX; anything else as `jnp.asarray` does.
 
     `jnp.asarray` compiles a program for each shape, of which a diagnosis has fifty. Not for traced code, where it would be a
@@ -18,6 +20,6 @@ def to_jax(value: Any) -> jax.Array:
     return jax.device_put(np.array(value)) if isinstance(value, np.ndarray) else jnp.asarray(value)
 
 
-def is_traced(*trees: Any) -> bool:
+def is_traced(*trees: object) -> bool:
     """Return whether JAX traces any number in these, to compile, to differentiate or to batch."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))

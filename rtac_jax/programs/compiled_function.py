@@ -173,12 +173,12 @@ def forget_programs() -> None:
         one.forget()
 
 
-def _is_array(leaf: Any) -> bool:
+def _is_array(leaf: object) -> bool:
     """Return whether a leaf is traced; of one that is only prepared for, the shape may stand there."""
     return isinstance(leaf, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct)
 
 
-def _can_be_kept(leaves: Sequence[Any]) -> bool:
+def _can_be_kept(leaves: Sequence[object]) -> bool:
     """Return whether nothing is traced or watched, as by `jax.debug_nans`, and all arrays are on one device."""
     config: Any = jax.config
     return not (

@@ -131,14 +131,14 @@ def _watched_cache() -> Iterator[list[str]]:
 
 @functools.cache
 def _watch() -> None:
-    def hit(event: str, **_: Any) -> None:
+    def hit(event: str, **_: object) -> None:
         if event == "/jax/compilation_cache/cache_hits" and hasattr(_here, "hits"):
             _here.hits.append(event)
 
     jax.monitoring.register_event_listener(hit)
 
 
-def _write(file: Path, content: Any) -> None:
+def _write(file: Path, content: object) -> None:
     """Write to a file; what cannot be kept is compiled again, which only costs time."""
     try:
         packed = zlib.compress(pickle.dumps(content), level=1)

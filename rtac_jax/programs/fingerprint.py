@@ -29,7 +29,7 @@ class Traced:
     dtype: str
 
 
-def fingerprint(value: Any, packages: Sequence[str]) -> str:
+def fingerprint(value: object, packages: Sequence[str]) -> str:
     """Return a digest of all that tracing sees of a value.
 
     Of classes and functions that is the name, of all else the value; an array is one that is not traced. A class that a function

@@ -33,7 +33,7 @@ _EXPANSION, _SLACK = 1100, 1 << 20  # deflate makes at most 1032 bytes of one
 _DAMAGED = "the file is damaged or not complete; copy it again, or make the result again."
 
 
-def save(result: Any, path: str | os.PathLike[str], *, packages: tuple[str, ...] = PACKAGES) -> None:
+def save(result: object, path: str | os.PathLike[str], *, packages: tuple[str, ...] = PACKAGES) -> None:
     """Write a model or a result to a file, from which `load` returns the same, bit for bit.
 
     A file that was there is replaced only when the new one is complete.
@@ -129,12 +129,12 @@ def _load(path: str | os.PathLike[str], effects: Sequence[type[Effect]], package
         raise ResultFileError(f"could not be read ({type(error).__name__}): {_DAMAGED}") from error
 
 
-def _write(group: Any, name: str, array: np.ndarray) -> None:
+def _write(group: h5py.Group, name: str, array: np.ndarray) -> None:
     options = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if array.nbytes > _LARGE else {}
     group.create_dataset(name, data=array, **options)
 
 
-def _read(group: Any, name: str, size: int) -> np.ndarray:
+def _read(group: h5py.Group, name: str, size: int) -> np.ndarray:
     link, dataset = group.get(name, getlink=True), group[name]
     if not isinstance(link, h5py.HardLink) or not isinstance(dataset, h5py.Dataset):
         raise ResultFileError(f"/{name} is no data set of the file itself: {_DAMAGED}")

@@ -23,3 +23,23 @@ def test_a_weight_covers_peaks_that_are_narrower_than_the_grid(damping):
     weight = covering.weight_magnitude(omega)
     worst = max(np.max(np.abs(plant(1j * omega) / model - 1) / weight) for plant in plants)
     assert 0.9 < worst < 1.0 + 1e-4
+
+
+def test_a_plant_that_is_outside_between_the_frequencies_only_is_not_covered() -> None:
+    """A lightly damped mode that falls between two frequencies of the envelope, against a grid of 200,000."""
+    plants = [ct.tf([place**2], [1.0, 0.2 * place, place**2]) for place in (9.5, 10.0, 10.5)]
+    covering = est.envelope(
+        plants, omega=np.geomspace(1, 100, 60), kind="additive", order_nominal=2, within_db=30.0, progress=False
+    )
+    between = float(np.sqrt(covering.frequency[29] * covering.frequency[30]))
+    size = 0.002 * between * float(covering.weight_magnitude(np.array([between]))[0])
+    fresh = [
+        plants[1] + ct.tf([2 * times * size, 0.0], [1.0, 2 * 0.002 * between, between**2])
+        for times in (0.0, 0.5, 2.0, 4.0)
+    ]
+    omega = np.unique(np.append(np.geomspace(1, 100, 100_000), between * (1 + np.linspace(-0.05, 0.05, 100_000))))
+    nominal, weight = covering.nominal_response(omega), covering.weight_magnitude(omega)
+    truth = np.array([np.max(np.abs(plant(1j * omega) - nominal) / weight) for plant in fresh])
+    np.testing.assert_allclose(covering.distance(fresh, covering.frequency), truth, rtol=1e-3)
+    only = np.abs([plant(1j * covering.frequency) - covering.nominal_response() for plant in fresh])
+    assert np.any((np.max(only / covering.weight_magnitude(), axis=1) < 1) & (truth > 1))

@@ -20,6 +20,10 @@ class RESULTS(eqx.Enumeration):
         "The fit did not converge: an estimate lies on its bound, and the data pull it inwards; begin with a plausible value "
         "of it (model.with_values), or fix it (model.fix, or --fix of rtac)."
     )
+    stuck = (
+        "The fit came to rest where its slopes still promise a better place; begin elsewhere, or fit this recording alone "
+        "(est.output_error)."
+    )
     starts_disagree = (
         "The fit converged, but no second start reached the same place; it may be a local minimum, "
         "so compare the model with the data before trusting it."

@@ -17,17 +17,21 @@ from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
+_SHOWN = 6  # numbers of recordings in a line
 
-@dataclasses.dataclass(frozen=True)
+
+@dataclasses.dataclass(frozen=True, repr=False)
 class BatchFit:
     """Result of `output_error_batch`, in the order of the recordings.
 
     Attributes:
-        names: of the free parameters that all experiments of a recording fraction.
+        names: of the free parameters that the experiments of a recording share.
         values: SI units; not a number where the model diverged.
         covariance: of them.
         result: how each fit ended.
         residual_std: rms of each channel's residual.
+        left: the largest of these over its sensor's noise; far above one a fit ended at another minimum, or the model lacks
+            something.
         own: parameters of each experiment, by name.
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
@@ -41,6 +45,7 @@ class BatchFit:
     covariance: Float[np.ndarray, "recording parameter parameter"]
     result: tuple[RESULTS, ...]
     residual_std: Mapping[str, Float[np.ndarray, " recording"]]
+    left: Float[np.ndarray, " recording"]
     own: Mapping[str, Float[np.ndarray, "recording experiment"]]
     start: Float[np.ndarray, "recording state experiment"]
     experiments: tuple[str, ...]
@@ -57,6 +62,25 @@ class BatchFit:
     def successful(self) -> np.ndarray:
         """Return whether each fit converged [recording]."""
         return np.array([result == RESULTS.successful for result in self.result])
+
+    def __str__(self) -> str:
+        good = self.successful
+        lines = [repr(self)]
+        if np.any(good):
+            lines.append(f"{'parameter':24s} {'mean':>12s} {'scatter':>9s} {'stated':>9s}")
+        for i, name in enumerate(self.names if np.any(good) else ()):
+            values, stated = self.values[good, i], np.sqrt(np.mean(self.std[good, i] ** 2))
+            scatter = f"{np.std(values, ddof=1):9.2g}" if len(values) > 1 else f"{'':9s}"
+            lines.append(f"{name:24s} {np.mean(values):12.6g} {scatter} {stated:9.2g}")
+        sentences = [RESULTS[result] for result in self.result]
+        for sentence in dict.fromkeys(sentences):
+            which = [str(number) for number, one in enumerate(sentences) if one == sentence]
+            if sentence != RESULTS[RESULTS.successful]:
+                lines.append(f"{len(which)} ({', '.join(which[:_SHOWN])}{', ...' * (len(which) > _SHOWN)}): {sentence}")
+        if np.any(good):
+            middle, most = np.median(self.left[good]), np.max(self.left[good])
+            lines.append(f"What converged is left at {middle:.2f} times its noise in the median, {most:.2f} at most.")
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         return (
@@ -120,6 +144,7 @@ def output_error_batch(
         values=np.stack([end.values for end in ends]),
         covariance=np.stack([unknown if e.information is None else e.information.covariance for e in ends]),
         result=tuple(end.result for end in ends),
+        left=np.array([np.max(end.residual / case.noise[:, 0]) for end, case in zip(ends, cases, strict=True)]),
         residual_std={CHANNELS[p]: np.array([e.residual[row] for e in ends]) for row, p in enumerate(first.outputs)},
         own={name: np.stack([end.own[row] for end in ends]) for row, name in enumerate(first.space.each)},
         start=np.stack([end.start for end in ends]),

@@ -34,6 +34,10 @@ TOLERANCE = 1e-7
 
 # The slope of a bounded parameter, over its scale, below which it is at its bound: the distance is as small a fraction.
 _FLAT = 1e-3
+_FLATTEST = (
+    1e-9  # of the scale: an unknown that ran far towards its bound has no slope, by which nothing can be divided
+)
+_NEARBY = 1.0  # standard deviations to the minimum, as far as slopes tell, within which a descent has found it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,7 +49,7 @@ class End:
         own: parameters of each experiment.
         start: states at the start.
         residual: rms of each measured channel's residual.
-        information: on the shared parameters; None where the model diverged.
+        information: on the shared parameters; None where the model diverged, or what is left is not finite.
         result: how it ended.
         steps: that it took.
         at_bound: whether a parameter ended at a bound.
@@ -190,18 +194,22 @@ class _Places:
         unknowns = self.batch.unknowns[:count, columns.start]
         lower, upper, scale = (x[:count, 0] for x in (case.columns.lower, case.columns.upper, case.columns.scale))
         slope = slopes(unknowns, lower, upper, scale)
+        at_bound = bool(np.any(slope < _FLAT * scale))
+        slope = np.maximum(slope, _FLATTEST * scale)
         matrix = summary.matrix[:-1, :-1, place] / np.outer(slope, slope)
+        if not np.all(np.isfinite(matrix)):
+            return End(values, own, start, residual, None, RESULTS.undetermined, steps, at_bound)
         size = np.maximum(np.abs(values), 0.1 * scale)
         value, vector = np.linalg.eigh(matrix * np.outer(size, size))
         root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T / size
         information = information_of(root, case.shared, size)
         converged = self.batch.stage[place] >= 3
         result = RESULTS.successful if converged else RESULTS.steps_exhausted
+        if converged and not self.batch.distance[place] < _NEARBY:
+            result = RESULTS.stuck
         if information.undetermined():
             result = RESULTS.undetermined
-        return End(
-            values, own, start, residual, information, result, steps, at_bound=bool(np.any(slope < _FLAT * scale))
-        )
+        return End(values, own, start, residual, information, result, steps, at_bound)
 
 
 @dataclasses.dataclass(frozen=True)

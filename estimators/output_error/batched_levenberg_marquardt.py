@@ -29,6 +29,8 @@ _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # relative to the diagonal, as Marquardt
 _EASE, _TIGHTEN = 0.01, 10.0
 # After a step that failed the damping that served is near what is needed: at a kink, where every other one would fail again.
 _EASE_AFTER_FAILURE = 0.3
+# Logarithm of what is left over its weight: as the second stage ends it is the square of the distance over the samples.
+_STALE = 0.01
 _ROUNDING = 1e-12  # of a sum of squares
 
 
@@ -40,7 +42,7 @@ class Batch(NamedTuple):
         products: of Jacobian and error, at the unknowns.
         deviation: standard deviation by which each output is divided, SI units.
         damping: of Marquardt.
-        stage: how often the deviations have been set to what is left; 3 where the descent has ended.
+        stage: how many have ended, with which the deviations are set to what is left; 3 where the descent has.
         failed: steps in a row that gained nothing.
         steps: how many were tried; -1 where the unknowns themselves have not been tried yet.
         distance: to the minimum of the linearised problem [standard deviations]; infinite before the first simulation.
@@ -151,10 +153,15 @@ def one_step(
     def next_stage(at: Batch, done: Array) -> Batch:
         done = done & (at.stage < last)
         rms = left_over(at, data.present[:, jnp.asarray(outputs)], noise)
+        # Where the last stage leaves less than it was weighted by, it goes on with what it leaves: its weights came from a descent
+        # that was stuck, and its deviations with them.
+        stale = jnp.any(jnp.abs(jnp.log(rms / at.deviation)) > _STALE, axis=0)
+        again = done & (at.stage == last - 1) & stale
         return at._replace(
-            stage=at.stage + done,
+            stage=at.stage + (done & ~again),
             failed=jnp.where(done, 0, at.failed),
-            deviation=jnp.where(done & (at.stage < last - 1), rms, at.deviation),
+            deviation=jnp.where((done & (at.stage < last - 1)) | again, rms, at.deviation),
+            damping=jnp.where(again, _DAMPING, at.damping),
         )
 
     stuck = tried & (after.failed >= jnp.asarray(_TRIES)[jnp.minimum(batch.stage, last - 1)])

@@ -42,7 +42,8 @@ def fit_together(chunk: Sequence[Prepared], options: Mapping[str, Any]) -> list[
     """Fit the recordings of a chunk, each with a status of its own, which no other of the chunk changes.
 
     None where a fit of its own has to decide: where a recording cannot be prepared, an effect has states whose beginning
-    has to be looked for, the simulation diverges at the truth, data leave parameters free, or one goes to its bound.
+    has to be looked for, the simulation diverges at the truth, data leave parameters free, one goes to its bound, or the descent is
+    stuck.
     """
     found: list[Outcome | None] = [None] * len(chunk)
     groups: dict[Hashable, dict[int, Case]] = defaultdict(dict)
@@ -67,7 +68,7 @@ def fit_together(chunk: Sequence[Prepared], options: Mapping[str, Any]) -> list[
 
 
 def _outcome(case: Case, end: End) -> Outcome | None:
-    if end.information is None or end.at_bound or end.result == RESULTS.undetermined:
+    if end.information is None or end.at_bound or end.result in (RESULTS.undetermined, RESULTS.stuck):
         return None
     std = np.sqrt(np.diag(end.information.covariance))
     verdict = "successful" if end.result == RESULTS.successful else "steps_exhausted"

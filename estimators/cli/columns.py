@@ -78,7 +78,12 @@ class Columns:
                 stated = [
                     (cell, says) for cell in header for name, says in [name_and_unit(cell)] if cell != name == column
                 ]
-                if len(stated) != 1:
+                if len(stated) > 1:
+                    cells = ", ".join(cell for cell, _ in stated)
+                    stop(
+                        WRONG_USE, f"{file}: has {len(stated)} columns named {column!r} ({cells}); rename all but one."
+                    )
+                if not stated:
                     if channel != _TIME and column in elsewhere:
                         del channels[channel]
                         continue

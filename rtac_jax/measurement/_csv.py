@@ -15,6 +15,7 @@ from ._columns import ImportOptions, imported
 from ._contents import Contents
 from ._errors import RecordingError
 from ._experiment import Experiment
+from ._stated_unit import FACTORS, name_and_unit, usual_spelling
 from .atomic_write import replacing
 
 Read = TypeVar("Read")
@@ -33,7 +34,18 @@ def read(
 ) -> tuple[Experiment, Mapping[str, float]]:
     """Return the experiment in a CSV file, and the constants of its rig; see `Recording.from_csv`."""
     mark = _mark(delimiter)
-    return imported(path, lambda names: _read_columns(path, names, mark), channels, kind, options)
+    header = csv_header(path, delimiter)
+    told: ImportOptions = {**options}
+    if isinstance(time := options.get("time"), str):
+        told["time"] = _stated(time, header)
+    named = {channel: _stated(column, header) for channel, column in channels.items()}
+    return imported(path, lambda names: _read_columns(path, names, mark), named, kind, told)
+
+
+def _stated(column: str, header: list[str]) -> str:
+    """Return a column by the name that the file gives it with its unit, as "x [mm]" for "x" above a row of units."""
+    named = [cell for cell in header if name_and_unit(cell)[0] == column != cell]
+    return named[0] if len(named) == 1 and column not in header else column
 
 
 def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
@@ -114,7 +126,19 @@ def _names(rows: Iterable[list[str]]) -> list[str]:
     named = (cells for cells in wide if all(cells) and all(_value(cell) is None for cell in cells))
     found = next(named, above[0] if above else [])
     _require_names(above, found)
-    return found
+    place = above.index(found) + 1 if found in above else len(above)
+    return _with_units(found, above[place] if place < len(above) else [])
+
+
+def _with_units(names: list[str], below: list[str]) -> list[str]:
+    """Return names with the units of the row below them, as "x [mm]"; as they are where that row holds none."""
+    units = _trimmed(below)
+    told = [unit.strip("[]() ") for unit in units if unit]
+    known = sum(any(usual_spelling(unit) in factors for factors in FACTORS.values()) for unit in told)
+    if len(units) != len(names) or any(_value(unit) is not None for unit in told) or 2 * known <= len(told):
+        return names
+    cells = [(name, unit.strip("[]() ")) for name, unit in zip(names, units, strict=True)]
+    return [f"{name} [{unit}]" if unit and not name_and_unit(name)[1] else name for name, unit in cells]
 
 
 def _words(cells: list[str]) -> list[str]:
@@ -179,6 +203,9 @@ def _header(
         if all(header.count(name) == 1 for name in names):
             _require_names(rows[place:], header)
             return _trimmed(header), itertools.chain(above[place + 1 :], numbered)
+        joined = _with_units(_trimmed(header), rows[place + 1] if place + 1 < len(rows) else [])
+        if all(joined.count(name) == 1 for name in names):
+            return joined, itertools.chain(above[place + 2 :], numbered)
     first = next((cells for cells in rows if cells), [])
     _require_names(rows, first)
     for name in names:

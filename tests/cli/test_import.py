@@ -1,5 +1,7 @@
 """`rtac import`: the numbers of a data logger's files, in the units of a recording, and what it does not understand."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.io
@@ -281,3 +283,23 @@ def test_an_encoder_that_begins_again_is_unwrapped_where_it_is_asked(tmp_path):
     assert "whole turn" not in result.stdout
     result, _ = imported(tmp_path / "wrapped.h5", file, *told)
     assert "unwrap it (rtac import --unwrap" in " ".join(result.stdout.split())
+
+
+def test_a_row_of_units_below_the_names_is_taken(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    rows = [f"{0.01 * n:.2f},{0.1 * (n % 3):.1f},{1.5 * n % 7:.1f}" for n in range(200)]
+    file.write_text("\n".join(["t,i,x", "s,A,mm", *rows]))
+    told = ("--channel", "current=i", "--channel", "cart_position=x", "--time", "t", "--kind", "forced")
+    result, recording = imported(tmp_path / "rig.h5", file, *told)
+    assert "by assumption" not in result.output
+    found = recording["run"].outputs["cart_position"].values
+    np.testing.assert_allclose(found, 1e-3 * (1.5 * np.arange(200) % 7), atol=6e-5)
+
+
+def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    rows = [f"{0.01 * n:.2f},{n % 7},{n % 5},0.0" for n in range(200)]
+    file.write_text("\n".join(["t [s],x [mm],n [rad/s],x [mm]", *rows]))
+    told = ("--channel", "cart_position=x", "--channel", "arm_velocity=n", "--time", "t", "--kind", "free")
+    words = "has 2 columns named 'x' (x [mm], x [mm]); rename all but one"
+    refused(call("import", file, *told, tmp_path / "out.h5"), 2, words)

@@ -22,6 +22,8 @@ _ENOUGH = 64  # samples of a part whose spectrum has a quiet band to be found
 _WHOLE, _NEARLY_ALL, _FEW_STEPS = 0.02, 0.95, 10.5
 # Draws of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing.
 _WHITE_DRAWS = 9
+# Draws whose median is what chance takes from the quietest band, and the samples from which on that is a fiftieth.
+_QUIET_DRAWS, _MANY = 25, 20_000
 
 
 def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
@@ -176,9 +178,31 @@ def _bridged(values: Values, present: Int[np.ndarray, " present"]) -> Float[np.n
 
 def _quietest(values: Values) -> float:
     """Return the standard deviation of white noise as strong as the quietest fifth of the spectrum; no sample is missing."""
+    return float(np.sqrt(np.min(_powers(values)))) / _of_white(_near(len(values)))
+
+
+def _powers(values: Values) -> Float[np.ndarray, " band"]:
+    """Return the variance of the white noise that would fill each fifth of the spectrum as it is filled."""
     length = int(min(len(values), max(64, len(values) // 16)))
     # A window of low side lobes, or a strong resonance would leak over the whole spectrum.
     frequency, density = welch(values, fs=1.0, window="blackmanharris", nperseg=length, detrend="linear")
     width = max(3, len(frequency) // 5)
     bands = np.lib.stride_tricks.sliding_window_view(density[1:-1], min(width, len(density) - 2))
-    return float(np.sqrt(0.5 * np.min(np.mean(bands, axis=1))))
+    return 0.5 * np.mean(bands, axis=1)
+
+
+def _near(count: int) -> int:
+    """Return a number of samples with two digits that count, so that few are asked for, and none of more than are told apart."""
+    size = 10 ** max(len(str(count)) - 2, 0)
+    return min(round(count / size) * size, _MANY)
+
+
+@lru_cache(maxsize=256)
+def _of_white(count: int) -> float:
+    """Return the rms of what is quietest in white noise of so many samples, in the upper half of its spectrum, over its own.
+
+    The least of several bands is below their mean by chance: by an eighth of 600 samples. Motion fills the lower half.
+    """
+    random = np.random.default_rng(0)
+    powers = [_powers(random.standard_normal(count)) for _ in range(_QUIET_DRAWS)]
+    return float(np.median([np.sqrt(np.min(each[len(each) // 2 :])) for each in powers]))

@@ -2,28 +2,23 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex128, Float64
-from scipy.signal.windows import hann
+from jaxtyping import Float64
 
 from estimators.frequency_response.angle_reconstruction import arm_angles
-from estimators.frequency_response.batched_local_polynomial import local_responses
 from estimators.frequency_response.feedback import feedback
-from estimators.frequency_response.local_polynomial import LocalFit, VanishingError, one_by_one
 from estimators.frequency_response.periodic import Lines, periodic_response, repeated_input
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
+from estimators.frequency_response.spectra import Spectra, fit_lines, spectra
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 
-_EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
 _SHOWN = (3, 0.3)  # so many lines have to be as certain, standard deviation over magnitude
 _HALF_WIDTH = 12
 _DEGREE = 2
 _POLES = 2
-_COMPILED = 500  # lines of all conditions, from which the compiled program pays for its start: 0.1 s of NumPy
 
 
 @checked_arguments
@@ -90,7 +85,7 @@ def frequency_responses(
         raise ValueError(f"method: is {method!r}; use 'periodic' or 'local'.")
     groups = _groups(recording, realisations)
     turned = arm_angles(recording, [n for names in groups.values() for n in names], angles, model) if compensate else {}
-    ready: dict[str, Lines | _Spectra] = {}
+    ready: dict[str, Lines | Spectra] = {}
     answers: dict[str, float] = {}
     for name in dict.fromkeys(n for names in groups.values() for n in names):
         experiment = recording[name]
@@ -102,8 +97,8 @@ def frequency_responses(
         if method == "periodic" or (method is None and repeats):
             ready[name] = _periodic(experiment, x, out, period, into, degree, band)
         else:
-            ready[name] = _spectra(experiment, x, out, into, band, frequency)
-    lines_of = {name: _held(one) for name, one in _fitted(ready, half_width, degree, poles).items()}
+            ready[name] = spectra(experiment, x, out, into, band, frequency, half_width)
+    lines_of = {name: _held(one) for name, one in fit_lines(ready, half_width, degree, poles).items()}
     found = []
     for condition, names in groups.items():
         each = [_continuous(lines_of[name], recording[name], input) for name in names]
@@ -132,7 +127,7 @@ def condition_responses(
         half_width: of the local fit, by name.
     """
     found: dict[str, FrequencyResponse | ValueError] = {}
-    ready: dict[str, _Spectra] = {}
+    ready: dict[str, Spectra] = {}
     angles: dict[str, np.ndarray] = {}
     answers: dict[str, float] = {}
     for name in names:
@@ -142,18 +137,18 @@ def condition_responses(
             into, out = _signals(experiment, "current", "cart_position", 0)
             x = into * _between(np.cos(angles[name]))
             answers[name] = feedback(into, x, out, held=experiment.inputs["current"].intersample == "zoh")
-            ready[name] = _spectra(experiment, x, out, into, None, frequency)
+            ready[name] = spectra(experiment, x, out, into, None, frequency, half_width[name])
         except ValueError as error:
             found[name] = error
     for width in sorted(set(half_width.values())):
         alike = {name: one for name, one in ready.items() if half_width[name] == width}
         try:
-            fitted = _fitted(alike, width, _DEGREE, _POLES)
+            fitted = fit_lines(alike, width, _DEGREE, _POLES)
         except ValueError:  # a record is too short for this width
             fitted = {}
             for name, one in alike.items():
                 try:
-                    fitted |= _fitted({name: one}, width, _DEGREE, _POLES)
+                    fitted |= fit_lines({name: one}, width, _DEGREE, _POLES)
                 except ValueError as error:
                     fitted[name] = error
         for name, lines in fitted.items():
@@ -228,93 +223,6 @@ def _periodic(
         )
     return periodic_response(
         place, x, y, repeated, period=period, sample_time=experiment.sample_time, degree=degree, band=band
-    )
-
-
-class _Spectra(NamedTuple):
-    """The spectra that a local fit of one experiment takes."""
-
-    experiment: Experiment
-    into: Complex128[np.ndarray, "_bin"]
-    out: Complex128[np.ndarray, "_bin"]
-    lines: Float64[np.ndarray, "_line"]
-    step: float  # between lines [rad/s]
-    played: Float64[np.ndarray, "_sample"]
-
-
-def _spectra(
-    experiment: Experiment, x: np.ndarray, y: np.ndarray, played: np.ndarray, band: tuple[float | int, float | int] | None,
-    frequency: np.ndarray | None,
-) -> _Spectra:  # fmt: skip
-    spectrum, out = np.fft.rfft(x), np.fft.rfft(y)
-    step = 2 * np.pi / (len(x) * experiment.sample_time)
-    if frequency is not None:
-        lines = frequency / step
-    elif band is not None:
-        numbers = np.arange(1, len(spectrum))
-        lines = numbers[(numbers * step >= 2 * np.pi * band[0] - 1e-9) & (numbers * step <= 2 * np.pi * band[1] + 1e-9)]
-    else:
-        size = np.abs(np.fft.rfft(played)[1:])
-        lines = 1 + np.flatnonzero(size > _EXCITED * np.max(size))
-    if not len(lines) or np.min(lines) < 1 or np.max(lines) > len(spectrum) - 1:
-        raise ValueError(
-            f"/experiments/{experiment.name}: no line, or lines outside {step:.3g} to {step * (len(spectrum) - 1):.3g} rad/s, "
-            "are asked for; change band or frequency."
-        )
-    return _Spectra(experiment, spectrum, out, np.asarray(lines, dtype=np.float64), step, played)
-
-
-def _fitted(
-    ready: Mapping[str, "Lines | _Spectra"], half_width: int, degree: int, poles: int
-) -> dict[str, Lines | ValueError]:
-    """Fit all that is not fitted yet: in one compiled call where there are many lines, else by NumPy.
-
-    An experiment whose input vanishes at a line has its error instead.
-    """
-    waiting = {name: one for name, one in ready.items() if isinstance(one, _Spectra)}
-    many = sum(len(one.lines) for one in waiting.values()) >= _COMPILED
-    spectra = [(one.into, one.out, one.lines) for one in waiting.values()]
-    together = local_responses if many else one_by_one
-    fits = dict(zip(waiting, together(spectra, half_width=half_width, degree=degree, poles=poles), strict=True))
-    found: dict[str, Lines | ValueError] = {}
-    for name, one in ready.items():
-        if not isinstance(one, _Spectra):
-            found[name] = one
-            continue
-        fit = fits[name]
-        if isinstance(fit, VanishingError):
-            found[name] = _vanishing(one.experiment, fit.line * one.step)
-            continue
-        try:
-            found[name] = _judged(one, fit, half_width)
-        except ValueError as error:
-            found[name] = error
-    return found
-
-
-def _judged(one: _Spectra, fit: LocalFit, half_width: int) -> Lines:
-    """Return a local fit with its coherence.
-
-    Raises:
-        ValueError: the current itself vanishes around a line.
-    """
-    lines, bins = one.lines, len(one.into)
-    near = np.clip(np.rint(lines).astype(np.int64)[:, None] + np.arange(-half_width, half_width + 1), 1, bins - 1)
-    # cos(theta) spreads the current over all lines, so that what vanishes shows in the current itself, under a window from which
-    # little leaks where a period is cut.
-    current = np.abs(np.fft.rfft(one.played * hann(len(one.played), sym=False)))
-    silent = np.max(current[near], axis=1) < _EXCITED * np.max(current[1:])
-    if silent.any():
-        raise _vanishing(one.experiment, float(lines[np.argmax(silent)]) * one.step)
-    power = np.mean(np.abs(one.into[near]) ** 2, axis=1) * np.abs(fit.response) ** 2
-    coherence = power / (power + fit.noise**2)
-    return Lines(lines * one.step, fit.response, fit.std, fit.std, None, None, coherence, fit.freedom)
-
-
-def _vanishing(experiment: Experiment, frequency: float) -> ValueError:
-    return ValueError(
-        f"/experiments/{experiment.name}: the excitation vanishes at {frequency:.4g} rad/s ({frequency / (2 * np.pi):.3g} Hz); "
-        "excite that line, or narrow the band."
     )
 
 

@@ -42,6 +42,14 @@ def test_missing_samples_take_no_noise_away(which, size) -> None:
     assert np.std(found) < 0.15
 
 
+@pytest.mark.parametrize("count", [400, 600, 3000])
+def test_the_quietest_band_is_not_taken_for_quieter_than_it_is(count: int) -> None:
+    """The least of several bands is below the noise by chance, and what that takes is known."""
+    random = np.random.default_rng(4)
+    found = [spectral_floor(decay(count, 1, random, 1000) + random.standard_normal(count)) for _ in range(100)]
+    assert np.median(found) == pytest.approx(1.0, abs=0.04)
+
+
 def test_few_samples_far_apart_have_a_level_too() -> None:
     values = np.full(100, np.nan)
     values[::20] = [0.0, 1.0, 0.5, 1.5, 0.2]

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _MINUTES = 3.0
 _COMPILING, _SECONDS = 10.0, 5.0
 _SLOWLY = (
-    "rtac: an experiment of {samples:,} samples: output error takes some {seconds:.0f} s, random forces and the comparison of the "
-    "estimates some {minutes:.2g} minutes; a part of it is answered sooner (Experiment.cut)."
+    "rtac: {samples:,} samples in long experiments: output error takes some {seconds:.0f} s, random forces and the comparison of "
+    "the estimates some {minutes:.2g} minutes; a part of it is answered sooner (Experiment.cut)."
 )
 
 # Where that would be some ten minutes.
@@ -30,7 +30,7 @@ _NOT_IN_TIME = (
     " their end."
 )
 _LEFT_OUT = (
-    "No prediction error and no comparison of the estimates, which of an experiment of {samples:,} samples would take some "
+    "No prediction error and no comparison of the estimates, which of {samples:,} samples would take some "
     "{minutes:.0f} minutes: fit a part of it (Experiment.cut), or call est.prediction_error_nonlinear and est.agreement. Output "
     "error alone takes some {seconds:.0f} s."
 )
@@ -67,17 +67,17 @@ def fit(
         closed = est.least_squares(start, work.train, weak=True)
         if closed.reversed_drive:
             work.note(closed.reversed_drive)
-        longest = max(e.samples for e in work.train)
-        fraction = longest / 1e5
-        times = {"samples": longest, "minutes": _MINUTES * fraction, "seconds": _COMPILING + _SECONDS * fraction}
-        if longest >= _TOO_LONG:
+        total = sum(e.samples for e in work.train if e.kind != "rest")
+        fraction = total / 1e5
+        times = {"samples": total, "minutes": _MINUTES * fraction, "seconds": _COMPILING + _SECONDS * fraction}
+        if total >= _TOO_LONG:
             work.note(_LEFT_OUT.format(**times))
             typer.echo(f"rtac: {_LEFT_OUT.format(**times)}", err=True)
-        elif longest >= LONG:
+        elif max(e.samples for e in work.train) >= LONG:
             typer.echo(_SLOWLY.format(**times), err=True)
         found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
-        if longest < _TOO_LONG:
+        if total < _TOO_LONG:
             predicted, agreed = _side_by_side(work, closed, found)
         spread = work.spread(found)
         if (differences := differing(found, work.train)) is not None:

@@ -92,7 +92,11 @@ def list_studies(
             stop(WRONG_USE, f"{folder}: there is no such folder.")
         lines = []
         for place in studies_in(folder):
-            found = _finished(place)
+            try:
+                found = _finished(place)
+            except ValueError as error:  # one that is damaged hides no other
+                lines.append(str(error) if str(place) in str(error) else f"{place}: {error}")
+                continue
             lines.append(f"{place}: {found.ending} {found.spec.question}".strip())
         # Those that come with the package stand in a folder of their own.
         for file in sorted([*folder.glob("*.toml"), *folder.glob("studies/*.toml")]):

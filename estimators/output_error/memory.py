@@ -21,6 +21,7 @@ _OF_DIRECTION = 12
 _COMPILER = 500_000_000  # bytes that compiling and its results take, whatever the recording
 _FRACTION = 0.25
 """Fraction of the memory that is free from which on a fit says what it takes."""
+_SAID = 1_000_000_000  # bytes from which on it does wherever that much is free
 
 
 def bytes_needed(model: RTAC, experiments: Sequence[Experiment]) -> int:
@@ -61,7 +62,7 @@ def require_memory(model: RTAC, experiments: Sequence[Experiment]) -> str:
     """
     free = bytes_free()
     needed = bytes_needed(model, experiments)
-    if free is None or needed < _FRACTION * free:
+    if free is None or needed < min(_FRACTION * free, _SAID):
         return ""
     samples = sum(e.samples for e in experiments)
     said = f"{samples:,} samples in {len(experiments)} experiment(s) take about {needed / 1e9:.2g} GB"

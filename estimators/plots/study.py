@@ -249,20 +249,28 @@ def _estimates_say(found: StudyResults) -> str:
 
 
 def _coverage_says(found: StudyResults) -> str:
+    """Say which intervals cover too little or too much, at a chance of 5 % for all of them together (Bonferroni)."""
     s = found.summary()
-    wrong: dict[str, int] = {}
-    counts: dict[str, int] = {}
-    for _, estimator, parameter in _each(found, "coverage"):
-        e, p = found.estimators.index(estimator), found.layout.coordinates["parameter"].index(parameter)
-        counts[estimator] = counts.get(estimator, 0) + 1
-        outside = not s["coverage_low"].values[e, p] <= _NOMINAL <= s["coverage_high"].values[e, p]
-        wrong[estimator] = wrong.get(estimator, 0) + outside
-    if not counts:
+    several = [(estimator, parameter) for _, estimator, parameter in _each(found, "coverage")]
+    if not several:
         return "No estimator states an interval"
-    bad = [f"{name} for {wrong[name]} of {counts[name]} parameters" for name in counts if wrong[name]]
+    words: dict[str, dict[str, int]] = {"too short": {}, "too long": {}}
+    for estimator, parameter in several:
+        e, p = found.estimators.index(estimator), found.layout.coordinates["parameter"].index(parameter)
+        covered, trials = s["coverage"].values[e, p], round(s["judged"].values[e, p])
+        chance = scipy.stats.binomtest(round(covered * trials), trials, _NOMINAL).pvalue if trials else 1.0
+        if chance < (1 - _NOMINAL) / len(several):
+            how = words["too short" if covered < _NOMINAL else "too long"]
+            how[estimator] = how.get(estimator, 0) + 1
+    total = {name: sum(one == name for one, _ in several) for name in found.estimators}
+    bad = [
+        f"{how} {', '.join(f'{name} for {count} of {total[name]} parameters' for name, count in counts.items())}"
+        for how, counts in words.items()
+        if counts
+    ]
     if not bad:
         return "Every stated interval covers as it says, as far as these repetitions show"
-    return f"Intervals do not cover as they say: {', '.join(bad)}"
+    return f"Intervals do not cover as they say: {'; '.join(bad)}"
 
 
 def _pairs_say(found: StudyResults, e: int, names: list[tuple[int, str]]) -> str:

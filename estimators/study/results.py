@@ -11,7 +11,7 @@ from estimators.reporting.html import Table
 from estimators.study import confusion, files, pictures, statistics, tables
 from estimators.study.kept import Kept
 from estimators.study.labelled import Labelled
-from estimators.study.spec import StudySpec
+from estimators.study.spec import SpecError, StudySpec
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -24,12 +24,16 @@ class StudyResults(Kept):
 
         Raises:
             StorageError: the folder holds no study, or a damaged file.
+            SpecError: its description is damaged.
         """
         from estimators.study.repetition import layout_of
         from estimators.study.storage import Storage, description_in
 
         text = description_in(folder)
-        spec = StudySpec.from_toml(text)
+        try:
+            spec = StudySpec.from_toml(text)
+        except SpecError as error:
+            raise SpecError(f"{Path(folder) / 'study.toml'}: {error}") from None
         layout = layout_of(spec)
         index, arrays = Storage(folder, spec.digest, layout).read(below=spec.repetitions)
         return cls(spec, index, layout, arrays)

@@ -21,7 +21,9 @@ def summary(results: Kept, level: float = LEVEL) -> dict[str, Labelled]:
         `truth`: mean; `bias`: mean error; `bias_std`: its standard deviation; `std`: found, over the repetitions, of the error;
         `rms_error`; `stated_std`: root mean square of the stated ones; `coverage` of the stated intervals, with
         `coverage_low` and `coverage_high` of Clopper and Pearson at the same level; `consistency`: mean of the paper's measure;
-        `count` of repetitions that have an estimate. NaN where there is none, or it was not kept.
+        `count` of repetitions that have an estimate, `judged` of those whose interval is counted. Intervals are those of Student's
+        distribution with the degrees of freedom that the method states (`results["freedom"]`). NaN where there is none, or it was
+        not kept.
     """
     axes = ("estimator", "parameter")
     shape = tuple(len(results.layout.coordinates[axis]) for axis in axes)
@@ -53,6 +55,7 @@ def summary(results: Kept, level: float = LEVEL) -> dict[str, Labelled]:
             "coverage_high": high,
             "consistency": _mean(consistency, np.isfinite(consistency)),
             "count": count.astype(float),
+            "judged": trials.astype(float),
         }
     places = {axis: results.layout.coordinates[axis] for axis in axes}
     return {name: Labelled(values, axes, places) for name, values in found.items()}

@@ -276,7 +276,7 @@ def test_of_a_recording_that_is_too_long_the_fit_is_shown_without_what_would_tak
     result, _, content = ran[TOO_LONG]
     assert result.exit_code == 0, result.output
     said = " ".join(result.stdout.split())
-    assert "No prediction error and no comparison of the estimates, which of an experiment of " in said
+    assert "No prediction error and no comparison of the estimates, which of " in said
     assert "(Experiment.cut)" in said
     whole = ran["fit"][2]
     assert content["parameters"] == whole["parameters"]

@@ -42,6 +42,11 @@ def test_a_small_recording_needs_no_word(monkeypatch):
     assert require_memory(MODEL, of_length(100_000)) == ""
 
 
+def test_much_is_announced_wherever_there_is_more(monkeypatch):
+    monkeypatch.setattr(memory, "bytes_free", lambda: 64 * 10**9)
+    assert "2,000,000 samples in 20 experiment(s) take about" in require_memory(MODEL, of_length(100_000, 20))
+
+
 def test_a_large_one_is_announced_and_one_too_large_refused(monkeypatch, tmp_path):
     monkeypatch.setattr(memory, "bytes_free", lambda: 10**9)
     assert "4,000 samples in 2 experiment(s) take about 0.5" in require_memory(MODEL, RECORDING.experiments)

@@ -69,3 +69,17 @@ def test_no_scheduler_is_one_sentence(tmp_path, monkeypatch):
         "study", "run", tmp_path / "little.toml", "--out", tmp_path / "out", "--executor", "dask://10.0.0.1:1"
     )
     refused(answer, 2, "no dask scheduler answers at tcp://10.0.0.1:1")
+
+
+def test_a_damaged_study_is_named_and_hides_no_other(tmp_path):
+    for name in ("one", "two"):
+        small(repetitions=2).save(tmp_path / f"{name}.toml")
+        assert call("study", "run", tmp_path / f"{name}.toml", "--out", tmp_path / name).exit_code == 0
+    described = tmp_path / "one" / "study.toml"
+    described.write_text(described.read_text()[:40])
+    listed = call("study", "list", tmp_path)
+    assert listed.exit_code == 0
+    first, second, *_ = listed.stdout.splitlines()
+    assert first.startswith(f"{described}: this is not TOML: ")
+    assert second.startswith(f"{tmp_path / 'two'}: 2 of 2 repetitions")
+    refused(call("study", "show", tmp_path / "one"), 2, f"{described}: this is not TOML: ")

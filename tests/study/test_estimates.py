@@ -52,6 +52,15 @@ def test_the_summary_of_known_numbers(bias, factor, covered):
     assert at["count"] == 4000
 
 
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1.0, "as it says"), (0.5, "too short output_error for 1 of 1"), (2.0, "too long output_error for 1 of 1")],
+)
+def test_the_picture_tells_intervals_that_are_too_short_from_those_too_long(factor: float, words: str) -> None:
+    figure = made_up(400, 0.0, factor).plot("coverage")
+    assert words in " ".join(text.get_text().replace("\n", " ") for text in [figure._suptitle, *figure.texts] if text)
+
+
 def test_clopper_and_pearson():
     low, high = clopper_pearson(np.array([0, 5, 10, 0]), np.array([10, 10, 10, 0]))
     np.testing.assert_allclose(low[:3], [0.0, 0.18709, 0.69150], atol=1e-5)

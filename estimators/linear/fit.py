@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from estimators.core.drawing import draw
-from estimators.core.long_run_covariance import long_run_covariance
 from estimators.core.progress import Progress
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.linear.homogeneity_test import Covariates, Equality, equality_of
@@ -288,7 +287,7 @@ def _models(
                 static_gain_std=float(np.sqrt(static_slope[0, 0] @ covariance @ static_slope[0, 0])),
                 noise_numerator=np.append(1.0, np.asarray(predictors.c)[i]),
                 noise_denominator=np.append(1.0, np.asarray(predictors.d)[i]),
-                innovation_std=float(scales.error[i] * np.sqrt(np.sum(error[i] ** 2) / kept)),
+                innovation_std=float(scales.error[i] * np.sqrt(np.sum(error[i] ** 2) / kept) / np.asarray(shown.spread)[i]),
                 undetermined=free, converged=bool(stage.converged[i]),
                 fpe=float(fpe[i]), aic=float(aic[i]), bic=float(bic[i]),
                 residuals=residual_test(
@@ -313,8 +312,7 @@ def _covariance(
     """Return the covariance of the unknowns, and how many of their combinations the data leave free: of G, and of H alone.
 
     For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression (`whitened`). With a
-    model of the noise the errors are white, but not where samples are missing: a prediction across a gap is off by more, and
-    those after it with it, so the scores' own covariance counts there.
+    model of the noise the errors are white, and of one size, also where samples are missing.
     """
     size = np.linalg.norm(jacobian, axis=0)
     size = np.where(size > 1e-12 * np.max(size), size, np.inf)  # without any effect: nothing else depends on it
@@ -327,11 +325,8 @@ def _covariance(
     half = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
     bread = half @ half.T
     freedom = float(np.sum(present)) - structure.count
-    if structure.noise and np.all(present):
-        return bread * float(np.sum(error**2)) / freedom, free, idle
     if structure.noise:
-        meat, _ = long_run_covariance((jacobian * error[:, None])[None])
-        return bread @ meat @ bread * float(np.sum(present)) / freedom, free, idle
+        return bread * float(np.sum(error**2)) / freedom, free, idle
     whitening, variance = colour
     rows = backward_coloured(jacobian, whitening)
     factor = variance * len(error) / freedom

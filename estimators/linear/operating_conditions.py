@@ -115,5 +115,5 @@ def stacked(raw: Sequence[Raw], present: Sequence[np.ndarray]) -> Signals:
     drive = np.array([np.sqrt(np.mean(one.input**2)) for one in raw])
     return Signals(
         jnp.asarray(into), jnp.asarray(out), jnp.asarray(here), jnp.asarray([one.interval for one in raw]),
-        Scale(jnp.asarray(size), jnp.asarray(size / drive), jnp.asarray(size)),
+        Scale(jnp.asarray(size), jnp.asarray(size / drive), jnp.asarray(size)), not all(np.all(mask) for mask in present),
     )  # fmt: skip

@@ -24,6 +24,7 @@ class Signals(eqx.Module):
         present: 1 where the output was measured, else 0.
         interval: between samples [s].
         scale: of each condition.
+        gaps: whether samples are missing among others.
     """
 
     input: Float[Array, "*condition sample power"]
@@ -31,6 +32,7 @@ class Signals(eqx.Module):
     present: Float[Array, "*condition sample"]
     interval: Float[Array, "*condition"]
     scale: Scale
+    gaps: bool = eqx.field(static=True, default=False)
 
 
 class Track(NamedTuple):
@@ -40,60 +42,104 @@ class Track(NamedTuple):
         error: output less its prediction from the past; zero where there is no output.
         simulated: G u, with the start.
         noise: states of H after the sample; the first is the prediction of H e one sample ahead.
+        spread: by how much errors scatter more than e, geometric mean: those after a gap do.
     """
 
     error: Float[Array, "*condition sample"]
     simulated: Float[Array, "*condition sample"]
     noise: Float[Array, "*condition sample order"]
+    spread: Float[Array, "*condition"]
 
 
 def track(model: Sampled, one: Signals) -> Track:
     """Run the predictor of section 5.1, L_1 = 1 - 1/H and L_2 = G/H, and keep all that it knows."""
-    step, begin = _predictor(model)
+    step, begin = _predictor(model, gaps=one.gaps)
     samples = one.output.shape[-1]
     # A plain scan would copy the arrays that it shows whole in every step.
     signals = (one.input, one.output, one.present)
-    _, (error, simulated, noise) = time_loop(step, begin, signals, room=samples, samples=samples)
-    return Track(error, simulated, jnp.stack(noise, -1) if noise else jnp.zeros((*error.shape, 0)))
+    _, (error, size, simulated, noise) = time_loop(step, begin, signals, room=samples, samples=samples)
+    stacked = jnp.stack(noise, -1) if noise else jnp.zeros((*error.shape, 0))
+    return Track(error, simulated, stacked, _spread(size, one.present))
+
+
+def _spread(size: Float[Array, " sample"], present: Float[Array, " sample"]) -> Float[Array, ""]:
+    """Return the geometric mean of the sizes of errors."""
+    return jnp.exp(jnp.sum(present * jnp.log(size)) / jnp.sum(present))
 
 
 def _errors(model: Sampled, one: Signals) -> Float[Array, " sample"]:
-    """Run the same predictor, and keep its errors alone."""
-    step, begin = _predictor(model)
+    """Run the same predictor, and keep its errors alone, as often weighted as each is known.
+
+    Their sum of squares is that of the likelihood with the variance of e at its best: each error over its size, times the
+    geometric mean of the sizes.
+    """
+    step, begin = _predictor(model, gaps=one.gaps)
 
     def shown(carry: Any, row: Any) -> tuple[Any, Array]:
-        after, (error, _, _) = step(carry, row)
-        return after, error
+        after, (error, size, _, _) = step(carry, row)
+        return after, (error, size)
 
-    return jax.lax.scan(shown, begin, (one.input, one.output, one.present))[1]
+    error, size = jax.lax.scan(shown, begin, (one.input, one.output, one.present))[1]
+    return error / size * _spread(size, one.present) if one.gaps else error
 
 
-def _predictor(model: Sampled) -> tuple[Callable[[Any, Any], tuple[Any, Any]], Any]:
-    """Return the step of a predictor, which shows its error, G u and the states of H, and what it begins with."""
+def _predictor(model: Sampled, *, gaps: bool) -> tuple[Callable[[Any, Any], tuple[Any, Any]], Any]:
+    """Return the step of a predictor, which shows error, its size over e, G u and the states of H, and what it begins with.
+
+    Where samples are missing it is Kalman's: with all of them the states of H are known, after a gap they are not, so the next
+    errors are larger and correct them by more. It carries the covariance of these states over the variance of e.
+
+    Source: Jones, Technometrics 22 (1980).
+    """
     modes, order = model.transition.shape[0], len(model.c)
+    uncertain = gaps and order > 0
+    through = [model.c[i] - model.d[i] for i in range(order)]  # from e to the states
 
     def step(carry: tuple[Any, Any], row: tuple[Any, Any, Any]) -> tuple[tuple[Any, Any], Any]:
         # Scalars rather than small arrays: over a batch they become loops that vectorise.
-        states, noise = carry
+        states, noise, *rest = carry
         powers, output, present = row
         simulated = model.feedthrough * powers[0]
         for position, _ in states:
             simulated = simulated + position
         expected = noise[0] if order else 0.0
         error = present * (output - simulated - expected)
-        disturbance = expected + error
+        gain, size = through, jnp.ones(())
+        if uncertain:
+            (known,) = rest
+            variance = known[0][0] + 1.0
+            # Rows of the covariance after the states have moved.
+            moved = [[_at(known, i + 1, j) - model.d[i] * known[0][j] for j in range(order)] for i in range(order)]
+            gain = [(moved[i][0] + through[i]) / variance for i in range(order)]
+
+            def _after(i: int, j: int) -> Array:
+                onward = _at(moved[i], j + 1) - model.d[j] * moved[i][0] + through[i] * through[j]
+                return onward - present * variance * gain[i] * gain[j]
+
+            rest = [tuple(tuple(_after(i, j) for j in range(order)) for i in range(order))]
+            size = jnp.sqrt(variance)
         after = tuple(
-            (noise[i + 1] if i + 1 < order else 0.0) - model.d[i] * disturbance + model.c[i] * error
-            for i in range(order)
+            (noise[i + 1] if i + 1 < order else 0.0) - model.d[i] * expected + gain[i] * error for i in range(order)
         )
-        moved = []
+        pushed_on = []
         for k in range(modes):
             f, g, (x, v) = model.transition[k], model.drive[k], states[k]
             pushed = [sum(g[row, j] * powers[j] for j in range(g.shape[1])) for row in range(2)]
-            moved.append(tuple(f[row, 0] * x + f[row, 1] * v + pushed[row] for row in range(2)))
-        return (tuple(moved), after), (error, simulated, after)
+            pushed_on.append(tuple(f[row, 0] * x + f[row, 1] * v + pushed[row] for row in range(2)))
+        return (tuple(pushed_on), after, *rest), (error, size, simulated, after)
 
-    return step, (tuple((s[0], s[1]) for s in model.start), tuple(model.noise_start))
+    begin = (tuple((s[0], s[1]) for s in model.start), tuple(model.noise_start))
+    nothing = tuple(tuple(jnp.zeros(()) for _ in range(order)) for _ in range(order))
+    return step, (*begin, nothing) if uncertain else begin
+
+
+def _at(table: Any, *place: int) -> Any:
+    """Return an entry of a table, and zero in the row below the last."""
+    for number in place:
+        if number >= len(table):
+            return 0.0
+        table = table[number]
+    return table
 
 
 def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:

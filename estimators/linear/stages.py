@@ -1,5 +1,6 @@
 """The stages of a linear fit: simulation error with ever more modes, then prediction error with a model of the noise."""
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -120,7 +121,7 @@ def _scaled(data: Signals, at: Rows) -> Signals:
     size = np.sqrt(np.sum(np.asarray(at.error) ** 2, axis=1) / count) * np.asarray(data.scale.error)
     floor = 1e-12 * np.asarray(data.scale.output)
     scale = data.scale._replace(error=jnp.asarray(np.maximum(size, floor)))
-    return Signals(data.input, data.output, data.present, data.interval, scale)
+    return dataclasses.replace(data, scale=scale)
 
 
 def _better(one: Stage, other: Stage) -> Stage:

@@ -15,6 +15,9 @@ from rtac_jax.programs import program
 from rtac_jax.time_loop import time_loop
 
 
+_NOTHING = 1e-13  # of the variance of e, below which states of H are known
+
+
 class Signals(eqx.Module):
     """Conditions as arrays of one length; the shorter ones end with samples that are not present.
 
@@ -75,12 +78,16 @@ def _errors(model: Sampled, one: Signals) -> Float[Array, " sample"]:
     """
     step, begin = _predictor(model, gaps=one.gaps)
 
-    def shown(carry: Any, row: Any) -> tuple[Any, Array]:
-        after, (error, size, _, _) = step(carry, row)
-        return after, (error, size)
+    def shown(carry: tuple[Any, Array], row: Any) -> tuple[tuple[Any, Array], Array]:
+        at, total = carry
+        after, (error, size, _, _) = step(at, row)
+        if not one.gaps:
+            return (after, total), error
+        # Summed here: of two arrays that a loop shows XLA copies one whole in every step.
+        return (after, total + row[2] * jnp.log(size)), error / size
 
-    error, size = jax.lax.scan(shown, begin, (one.input, one.output, one.present))[1]
-    return error / size * _spread(size, one.present) if one.gaps else error
+    (_, total), error = jax.lax.scan(shown, (begin, jnp.zeros(())), (one.input, one.output, one.present))
+    return error * jnp.exp(total / jnp.sum(one.present)) if one.gaps else error
 
 
 def _predictor(model: Sampled, *, gaps: bool) -> tuple[Callable[[Any, Any], tuple[Any, Any]], Any]:
@@ -116,7 +123,10 @@ def _predictor(model: Sampled, *, gaps: bool) -> tuple[Callable[[Any, Any], tupl
                 onward = _at(moved[i], j + 1) - model.d[j] * moved[i][0] + through[i] * through[j]
                 return onward - present * variance * gain[i] * gain[j]
 
-            rest = [tuple(tuple(_after(i, j) for j in range(order)) for i in range(order))]
+            left = [[_after(i, j) for j in range(order)] for i in range(order)]
+            # It dies out, and numbers next to zero take a hundred times as long as others.
+            alive = sum(left[i][i] for i in range(order)) > _NOTHING
+            rest = [tuple(tuple(jnp.where(alive, x, 0.0) for x in row) for row in left)]
             size = jnp.sqrt(variance)
         after = tuple(
             (noise[i + 1] if i + 1 < order else 0.0) - model.d[i] * expected + gain[i] * error for i in range(order)

@@ -75,7 +75,7 @@ def kalman(
     physical: Physical,
     *,
     sensor_variance: Float[Array, "output experiment"],
-    process: tuple[Float[Array, ""], Float[Array, ""]],
+    process: tuple[float | Float[Array, ""], float | Float[Array, ""]],
     start_variance: Float[Array, "start experiment"],
     substeps: Steps,
 ) -> tuple[Filtered, Linearised]:
@@ -261,7 +261,7 @@ def _shaken(
     state: State,
     current: Array | float,
     spread: Array,
-    process: tuple[Float[Array, ""], Float[Array, ""]],
+    process: tuple[float | Float[Array, ""], float | Float[Array, ""]],
     pushes: tuple[Array, Array],
     interval: Array,
 ) -> Float[Array, " experiment"]:

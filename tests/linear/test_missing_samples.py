@@ -71,16 +71,8 @@ def test_deviations_and_the_variance_of_the_noise_are_right_where_a_fifth_is_mis
         _, position, _ = scipy.signal.dlsim((*states, step), played)
         noise = scipy.signal.lfilter([1.0, 0.3], [1.0, -1.2, 0.5], 1e-3 * random.normal(size=1000))[200:]
         measured = np.where(random.random(800) < 0.2, np.nan, position[:, 0] + noise)
-        experiments.append(
-            Experiment.of(
-                f"run_{number}",
-                kind="forced",
-                sample_time=step,
-                current=played,
-                cart_position=measured,
-                initial_arm_angle=0.0,
-            )  # fmt: skip
-        )
+        told = {"current": played, "cart_position": measured, "initial_arm_angle": 0.0}
+        experiments.append(Experiment.of(f"run_{number}", kind="forced", sample_time=step, **told))
     found = est.prediction_error(Recording(tuple(experiments), {}), compensate=False, progress=False)
     assert np.mean([one.innovation_std for one in found]) == pytest.approx(1e-3, rel=0.01)
     away = np.array([(one.values[:2] - [10.0, 0.05]) / one.std[:2] for one in found])

@@ -14,7 +14,6 @@ from estimators.linear.model_sets import Sampled, Scale, Structure, sampled
 from rtac_jax.programs import program
 from rtac_jax.time_loop import time_loop
 
-
 _NOTHING = 1e-13  # of the variance of e, below which states of H are known
 
 
@@ -102,7 +101,7 @@ def _predictor(model: Sampled, *, gaps: bool) -> tuple[Callable[[Any, Any], tupl
     uncertain = gaps and order > 0
     through = [model.c[i] - model.d[i] for i in range(order)]  # from e to the states
 
-    def step(carry: tuple[Any, Any], row: tuple[Any, Any, Any]) -> tuple[tuple[Any, Any], Any]:
+    def step(carry: tuple[Any, ...], row: tuple[Any, Any, Any]) -> tuple[tuple[Any, ...], Any]:
         # Scalars rather than small arrays: over a batch they become loops that vectorise.
         states, noise, *rest = carry
         powers, output, present = row

@@ -67,8 +67,7 @@ def needed(
         omega = _with_modes(dense, found._replace(systems=(system, weight)), model)
         size = at(evaluate([system], omega), omega)[0]
         worst = int(np.argmax(size))
-        beside = np.log(omega[[max(worst - 1, 0), min(worst + 1, len(omega) - 1)]])
-        closer = np.exp(np.linspace(*beside, 2 * _CLOSER))
+        closer = np.geomspace(omega[max(worst - 1, 0)], omega[min(worst + 1, len(omega) - 1)], 2 * _CLOSER)
         on_grid[i] = max(on_grid[i], size[worst], float(np.max(at(evaluate([system], closer), closer))))
     return on_grid
 

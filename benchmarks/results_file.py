@@ -89,7 +89,9 @@ def merged(
     """
     results = {**results, "sections": {**results.get("sections", {}), name: {**run, **found}}}
     for kind in ("ratios", "seconds"):
-        results[kind] = dict(sorted((results.get(kind, {}) | found.get(kind, {})).items()))
+        # Of the sections alone: what one no longer finds, as a peer that was given up, is not kept from an earlier run.
+        several = [one.get(kind) or {} for one in results["sections"].values()]
+        results[kind] = dict(sorted({key: value for each in several for key, value in each.items()}.items()))
     if "megabytes" in found:
         results["megabytes"] = found["megabytes"]
     runs = results["sections"].values()

@@ -180,3 +180,11 @@ def test_a_picture_is_drawn_of_what_there_is(bench: SimpleNamespace, tmp_path: P
     for sections in (results["sections"], {}):
         bench.picture.draw(results | {"sections": sections}, tmp_path / "results.png")
         assert (tmp_path / "results.png").stat().st_size > 10_000
+
+
+def test_what_a_section_finds_no_more_is_kept_from_no_earlier_run(bench: SimpleNamespace) -> None:
+    first = bench.file.merged({}, "fit", {"ratios": {"one": 2.0, "gone": 3.0}}, about(), load_at_start=1.0)
+    other = bench.file.merged(first, "study", {"seconds": {"three": 1.0}}, about(), load_at_start=1.0)
+    again = bench.file.merged(other, "fit", {"ratios": {"one": 4.0}}, about(), load_at_start=1.0)
+    assert again["ratios"] == {"one": 4.0}
+    assert again["seconds"] == {"three": 1.0}

@@ -62,6 +62,7 @@ def test_without_gaps_nothing_changes() -> None:
     np.testing.assert_allclose(careful, plain, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_deviations_and_the_variance_of_the_noise_are_right_where_a_fifth_is_missing() -> None:
     random, step = np.random.default_rng(3), 0.02
     states = scipy.signal.cont2discrete(scipy.signal.tf2ss([1.0], [1.0, 1.0, 100.0]), step)[:4]

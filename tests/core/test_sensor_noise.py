@@ -39,7 +39,7 @@ def test_missing_samples_take_no_noise_away(which, size) -> None:
         found.append(spectral_floor(values))
         complete.append(spectral_floor(decay(1500 // step, step, random, size) + random.standard_normal(1500 // step)))
     assert np.mean(found) / np.mean(complete) == pytest.approx(1.0, abs=0.05)
-    assert np.std(found) < 0.15
+    assert np.std(found) / np.mean(found) < 0.16
 
 
 @pytest.mark.parametrize("count", [400, 600, 3000])

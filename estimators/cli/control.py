@@ -86,7 +86,7 @@ def control(
         trained, tested = work.compared(fit)
         errors, parameters = _tables.error_table(trained, tested), _tables.parameter_table(fit)
         sprung = with_arm_spring(fit.model, made.actuation)
-        fitted = fitted_in_envelope(fit.model, made.covered, with_spring=sprung, std=_deviations(fit))
+        fitted = fitted_in_envelope(fit.model, made.covered, with_spring=sprung, nothing=made.nothing)
         work.save(made, save)
         doubt = _does_not_follow(tested or trained)
         said, honest, loops = (
@@ -152,10 +152,6 @@ def _does_not_follow(compared: "Comparison") -> list[str]:
         f"The model does not follow this recording: of the fit of its simulation there is {each}. A controller is tried on a rig "
         "that this one is not; fit the model to it first."
     ]
-
-
-def _deviations(fit: Any) -> dict[str, float]:
-    return {name: p.std for name, p in fit.parameters.items() if name in fit.information.names}
 
 
 def _save_mat(path: Path, content: dict[str, Any]) -> None:

@@ -143,7 +143,7 @@ def outcome(found: ControlDesign) -> list[str]:
             f"as the envelope asks, {_percent(fractions['envelope'])} do "
             f"({_without(found.inside_free, found.within)}{_astray(found.inside)})."
         )
-    said = [first, *_astray_model(found), f"{second} {third} {fourth}"]
+    said = [first, *left_far(found), f"{second} {third} {fourth}"]
     if not now < _USEFUL * alone:
         resonance = _resonance(found)
         width = float(np.max(np.abs(found.covered.weight(1j * resonance))))
@@ -218,7 +218,7 @@ def _without(free: ClosedLoop | None, within: float) -> str:
     )
 
 
-def _astray_model(found: ControlDesign) -> list[str]:
+def left_far(found: ControlDesign) -> list[str]:
     """Say where the fitted model is not the rig's, so that what a controller does for it need not hold there."""
     if found.farthest <= FAR:
         return []

@@ -1,6 +1,6 @@
 """Prediction errors of a linear model along a condition, and the fit of all conditions at once that makes them small."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -112,43 +112,47 @@ def _predictor(model: Sampled, *, gaps: bool) -> tuple[Callable[[Any, Any], tupl
         error = present * (output - simulated - expected)
         gain, size = through, jnp.ones(())
         if uncertain:
-            (known,) = rest
-            variance = known[0][0] + 1.0
-            # Rows of the covariance after the states have moved.
-            moved = [[_at(known, i + 1, j) - model.d[i] * known[0][j] for j in range(order)] for i in range(order)]
-            gain = [(moved[i][0] + through[i]) / variance for i in range(order)]
-
-            def _after(i: int, j: int) -> Array:
-                onward = _at(moved[i], j + 1) - model.d[j] * moved[i][0] + through[i] * through[j]
-                return onward - present * variance * gain[i] * gain[j]
-
-            left = [[_after(i, j) for j in range(order)] for i in range(order)]
-            # It dies out, and numbers next to zero take a hundred times as long as others.
-            alive = sum(left[i][i] for i in range(order)) > _NOTHING
-            rest = [tuple(tuple(jnp.where(alive, x, 0.0) for x in row) for row in left)]
-            size = jnp.sqrt(variance)
+            gain, size, known = _corrected(model, through, rest[0], present)
+            rest = [known]
         after = tuple(
             (noise[i + 1] if i + 1 < order else 0.0) - model.d[i] * expected + gain[i] * error for i in range(order)
         )
-        pushed_on = []
+        moved = []
         for k in range(modes):
             f, g, (x, v) = model.transition[k], model.drive[k], states[k]
             pushed = [sum(g[row, j] * powers[j] for j in range(g.shape[1])) for row in range(2)]
-            pushed_on.append(tuple(f[row, 0] * x + f[row, 1] * v + pushed[row] for row in range(2)))
-        return (tuple(pushed_on), after, *rest), (error, size, simulated, after)
+            moved.append(tuple(f[row, 0] * x + f[row, 1] * v + pushed[row] for row in range(2)))
+        return (tuple(moved), after, *rest), (error, size, simulated, after)
 
     begin = (tuple((s[0], s[1]) for s in model.start), tuple(model.noise_start))
     nothing = tuple(tuple(jnp.zeros(()) for _ in range(order)) for _ in range(order))
     return step, (*begin, nothing) if uncertain else begin
 
 
-def _at(table: Any, *place: int) -> Any:
-    """Return an entry of a table, and zero in the row below the last."""
-    for number in place:
-        if number >= len(table):
-            return 0.0
-        table = table[number]
-    return table
+_Table = tuple[tuple[Array, ...], ...]
+
+
+def _corrected(
+    model: Sampled, through: Sequence[Array], known: _Table, present: Array
+) -> tuple[list[Array], Array, _Table]:
+    """Return the gain of a sample's error on the states of H, the size of that error over e, and the covariance after it."""
+    order = len(through)
+    variance = known[0][0] + 1.0
+    # Row i + 1 less d_i times row 0, as the states themselves move; there is no row behind the last.
+    carried = [
+        [(known[i + 1][j] if i + 1 < order else 0.0) - model.d[i] * known[0][j] for j in range(order)]
+        for i in range(order)
+    ]
+    gain = [(carried[i][0] + through[i]) / variance for i in range(order)]
+
+    def covariance(i: int, j: int) -> Array:
+        onward = (carried[i][j + 1] if j + 1 < order else 0.0) - model.d[j] * carried[i][0] + through[i] * through[j]
+        return onward - present * variance * gain[i] * gain[j]
+
+    left = [[covariance(i, j) for j in range(order)] for i in range(order)]
+    # It dies out, and numbers next to zero take a hundred times as long as others.
+    alive = sum(left[i][i] for i in range(order)) > _NOTHING
+    return gain, jnp.sqrt(variance), tuple(tuple(jnp.where(alive, x, 0.0) for x in row) for row in left)
 
 
 def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:

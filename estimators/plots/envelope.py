@@ -66,7 +66,11 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     for axes in (top, below):
         frequency_axis(axes)
     median = 100 * float(np.median(fractions))
-    title(figure, f"{len(responses)} conditions, each known to {median:.2g} % (95 % radius, median)")
+    fed_back = sum(one.feedback > 0 for one in responses)
+    known = f"each known to {median:.2g} % (95 % radius, median)"
+    if fed_back:
+        known = f"of which {fed_back} answer the noise of the output, which no radius counts"
+    title(figure, f"{len(responses)} conditions, {known}")
     return figure
 
 

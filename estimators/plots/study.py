@@ -254,13 +254,13 @@ def _coverage_says(found: StudyResults) -> str:
     several = [(estimator, parameter) for _, estimator, parameter in _each(found, "coverage")]
     if not several:
         return "No estimator states an interval"
-    words: dict[str, dict[str, int]] = {"too short": {}, "too long": {}}
+    words: dict[str, dict[str, int]] = {"too short by": {}, "too long by": {}}
     for estimator, parameter in several:
         e, p = found.estimators.index(estimator), found.layout.coordinates["parameter"].index(parameter)
         covered, trials = s["coverage"].values[e, p], round(s["judged"].values[e, p])
         chance = scipy.stats.binomtest(round(covered * trials), trials, _NOMINAL).pvalue if trials else 1.0
         if chance < (1 - _NOMINAL) / len(several):
-            how = words["too short" if covered < _NOMINAL else "too long"]
+            how = words["too short by" if covered < _NOMINAL else "too long by"]
             how[estimator] = how.get(estimator, 0) + 1
     total = {name: sum(one == name for one, _ in several) for name in found.estimators}
     bad = [

@@ -2,7 +2,7 @@
 
 import shlex
 
-from estimators.controller.outcome import ControlDesign, outcome
+from estimators.controller.outcome import ControlDesign, left_far, outcome
 from estimators.core.fit import Fit
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.plots.envelope import finding
@@ -68,6 +68,7 @@ def of_control(found: ControlDesign, warnings: list[str]) -> Bullets:
     said = outcome(found)
     held = found.fractions["parameter_covariance"]
     sure = f"{100 * held:.1f} % of plants drawn from the covariance of the fit hold; {found.covered.coverage}."
+    sure = " ".join([*left_far(found), sure])
     step = "Load controller.mat, or the matrices of the JSON, and try it on the rig with the torque limited."
     if not found.helps:
         step = "Do not use it; see below what narrows the envelope."

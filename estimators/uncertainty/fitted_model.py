@@ -1,6 +1,6 @@
 """The fitted physical model beside an envelope: inside or outside, and whether the nominal model resonates where it does."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,6 @@ _OTHERWISE = (
     "which has no dry friction, is not what was recorded. Ask `diagnose` what it lacks, and check the gains and delays of its "
     "drive and sensors."
 )
-_TOLD = 2.0  # standard deviations from nothing, as in an interval of 95 %
 _PROMINENT = 3.0  # dB by which a mode stands out of the curve: half of the power
 _ELSEWHERE = 1.2  # ratio of frequencies from which on a peak is another mode
 _POINTS = 2000
@@ -100,7 +99,7 @@ class FittedInEnvelope:
 
 
 def fitted_in_envelope(
-    model: RTAC, found: Envelope, *, with_spring: Response | None = None, std: Mapping[str, float] | None = None
+    model: RTAC, found: Envelope, *, with_spring: Response | None = None, nothing: Collection[str] = ()
 ) -> FittedInEnvelope:
     """Hold the fitted model, linearised about theta = 0, against an envelope.
 
@@ -109,7 +108,7 @@ def fitted_in_envelope(
         found: an envelope of responses from current times cos(theta) to cart position.
         with_spring: response of the model with the electric spring on the arm, by frequency [rad/s], where the envelope is of
             conditions with it; by default that of the model alone is held against the envelope.
-        std: standard deviations of the parameters, by name: dry friction that they do not tell from nothing is none.
+        nothing: names of parameters that the fit does not tell from nothing: such dry friction is none.
 
     Raises:
         ValueError: as `rtac_jax.linearise`.
@@ -127,11 +126,7 @@ def fitted_in_envelope(
     )
     peak_db = float(own.max() - size.max())
     at_rest = tuple(jnp.zeros(len(model.states)))
-    none = {
-        name: 0.0
-        for name, s in (std or {}).items()
-        if model.parameters[name].null == 0 and float(model[name]) < _TOLD * s
-    }
+    none = {name: 0.0 for name in nothing if model.parameters[name].null == 0}
     dry = any(float(np.max(x)) > 0 for levels in friction_levels(model.with_values(none), at_rest) for x in levels)
     return FittedInEnvelope(
         omega, fitted, float(model_error[at]), float(omega[at]), peak_db, resonance, spurious,

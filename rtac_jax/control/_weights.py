@@ -124,8 +124,8 @@ def propose_weights(
         band: where the plant was measured [rad/s]; what a fitted plant does outside is not taken for its resonance.
 
     Raises:
-        ValueError: the plant has no oscillatory poles in the band or is not stable, a limit is not positive, or the envelope is so
-            wide at the resonance that no damping can be added.
+        ValueError: the plant has no oscillatory poles in the band or is not stable, a limit is not positive, the torque adds no
+            damping from there, or the envelope is so wide at the resonance that none can be added.
     """
     plant, weight = plant_of(nominal), weight_of(uncertainty, "uncertainty")
     for name, value in (("torque_limit", torque_limit), ("displacement", displacement)):

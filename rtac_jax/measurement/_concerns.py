@@ -226,10 +226,10 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
     for name, signal in experiment.outputs.items():
         about = _about_output(signal, at_rest, experiment.holds(name), counts=name in counting)
         yield from (f"{name} {sentence}" for sentence in about)
-        if (at_rest or experiment.holds(name)) and name.endswith("velocity") and (read := read_at_rest(signal)):
+        if (at_rest or experiment.holds(name)) and name == "arm_velocity" and (read := read_at_rest(signal)):
             yield (
-                f"{name} reads {read} though nothing turns: the sensor's zero is off; subtract that from all experiments alike, or"
-                " let est.diagnose add tacho_bias."
+                f"{name} reads {read} though the arm stands still: the sensor's zero is off; subtract that from all experiments"
+                " alike, or let est.diagnose add tacho_bias."
             )
         if not at_rest and not experiment.holds(name) and name != "arm_angle" and _moves(signal.values):
             yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))

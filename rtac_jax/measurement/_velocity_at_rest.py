@@ -1,4 +1,4 @@
-"""A velocity that is read though nothing turns: the sensor's zero."""
+"""A velocity that is read though the arm stands still: the sensor's zero."""
 
 import numpy as np
 

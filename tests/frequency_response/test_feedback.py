@@ -23,6 +23,7 @@ def test_a_controller_in_the_loop_is_said(gain: float, least: float) -> None:
     assert all(one.feedback >= least for one in found)
     assert bool(found.remarks()) == (gain > 0)
     assert ("as with a controller in the loop (run_0" in str(found)) == (gain > 0)
+    assert ("8 answer the noise of the output" in found.plot().get_suptitle().replace("\n", " ")) == (gain > 0)
     if gain:
         assert "run_5 and 2 more" in found.remarks()[0]
 

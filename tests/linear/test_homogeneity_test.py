@@ -98,18 +98,39 @@ def test_an_envelope_takes_responses_and_systems():
     )
 
 
+def test_free_unknowns_of_the_noise_alone_leave_no_condition_out():
+    """White noise under a model of coloured noise: a pole on a zero in some conditions, of which G is known as in the others."""
+    found = est.prediction_error(equal_plants(3, ([1.0], [1.0]), 0.0, 40), compensate=False, progress=False)
+    idle = np.array([one.idle > 0 for one in found])
+    assert 1 <= np.sum(idle) < 40
+    assert found.equality().left_out == ()
+    assert "leaves G as it is" in found.models[int(np.argmax(idle))].verdict
+    std = np.array([one.std[0] for one in found])
+    assert np.mean(std[idle]) == pytest.approx(np.mean(std[~idle]), rel=0.1)
+
+
+def test_a_condition_that_is_left_out_keeps_its_number_and_is_counted():
+    few = drifting(0.0)
+    models = tuple(dataclasses.replace(one, undetermined=int(place == 1)) for place, one in enumerate(few.models))
+    found = dataclasses.replace(few, models=models).equality()
+    assert f"1 of {len(models)} were left out." in found.verdict
+    (bars,) = [c for c in found.plot().get_axes()[0].containers if len(c.lines[0].get_xdata()) == len(models) - 1]
+    assert 2 not in bars.lines[0].get_xdata()
+    assert max(bars.lines[0].get_xdata()) == len(models)
+
+
 def test_a_mode_that_only_the_bound_on_stability_keeps_is_called_so():
     one = drifting(0.02)[0]
     assert "stability" not in one.verdict
     assert "bound on stability" in dataclasses.replace(one, poles=one.poles.imag * 1j - 1e-12).verdict
 
 
-def equal_plants(seed, noise, missing):
-    """Twelve runs of one plant, with noise of a colour, and samples missing at random."""
+def equal_plants(seed, noise, missing, count=12):
+    """Runs of one plant, with noise of a colour, and samples missing at random."""
     random = np.random.default_rng(seed)
     a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss([2.0, 30.0], [1.0, 1.6, 110.0]), DT)
     experiments = []
-    for i in range(12):
+    for i in range(count):
         current = random.standard_normal(1500)
         out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0]
         out = out + scipy.signal.lfilter(*noise, 0.02 * random.standard_normal(1500))

@@ -54,7 +54,7 @@ def test_the_summary_of_known_numbers(bias, factor, covered):
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(1.0, "as it says"), (0.5, "too short output_error for 1 of 1"), (2.0, "too long output_error for 1 of 1")],
+    [(1.0, "as it says"), (0.5, "too short by output_error for 1 of 1"), (2.0, "too long by output_error for 1 of 1")],
 )
 def test_the_picture_tells_intervals_that_are_too_short_from_those_too_long(factor: float, words: str) -> None:
     figure = made_up(400, 0.0, factor).plot("coverage")

@@ -31,6 +31,18 @@ SYSTEMS = draw(3, seed=13)
         (lambda: cover(nominal=ct.tf([1.0], [1.0, 0.5], 0.01)), "nominal: is a discrete-time system"),
         (lambda: cover(order_weight=0, within_db=3.0), "order_weight: a weight of order 0 covers the profile only"),
         (lambda: cover(kind="feedback"), "kind: is 'feedback'"),
+        (lambda: cover(np.abs(PLANTS).astype(complex)), "are all real, as magnitudes are"),
+        (
+            lambda: est.envelope(SYSTEMS, omega=OMEGA, std=np.ones((2, 100))),
+            r"std: has shape \(2, 100\); give one for each",
+        ),
+        (
+            lambda: cover(
+                np.concatenate([PLANTS, np.where(np.arange(100) == 50, 20, 1) * PLANTS[:1]]), held_out=["condition_7"]
+            ),
+            r"held_out: condition_7 lies [\d.]+ times outside the weight of those that were fitted, which lifts it by [\d.]+ dB",
+        ),
+        (lambda: est.envelope([*SYSTEMS, ct.tf([1.0], [1.0, -0.5, 10.0])], omega=OMEGA), r"^condition_4: has a pole"),
         (lambda: cover(order_nominal=0), "order_nominal, order_weight: are 0 and 2"),
         (lambda: cover(zeros=5), "zeros: is 5"),
         (lambda: cover(confidence=1.0), "confidence: is 1"),

@@ -79,6 +79,16 @@ def test_where_the_peaks_are_near_no_other_excitation_is_advised():
     assert "another excitation would change little" in found.sentences()[1]
 
 
+def test_friction_that_a_fit_does_not_tell_from_nothing_is_not_blamed():
+    idle = MODEL.with_values({"cart_coulomb.level": 4e-8})
+    blamed, told = (fitted_in_envelope(idle, envelope(1.45), nothing=n) for n in ((), ("cart_coulomb.level",)))
+    assert blamed.dry
+    assert not told.dry
+    assert told.distance == blamed.distance
+    assert "has the dry friction" in blamed.sentences()[1]
+    assert "Ask `diagnose` what it lacks" in told.sentences()[1]
+
+
 @pytest.mark.slow
 def test_a_closed_form_of_a_cart_that_friction_holds_is_not_held_against_the_envelope():
     rig = virtual_rig.Rig(encoder=True, cart_coulomb=0.03)

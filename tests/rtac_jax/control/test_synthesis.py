@@ -289,6 +289,7 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
             lambda: propose_weights(LAG, ONE, 1.0, displacement=1.0, band=(20.0, 40.0)),
             "no oscillatory poles from 20 to 40 rad/s, where it was measured",
         ),
+        (lambda: propose_weights(LAG, ONE, 1e-6, displacement=1.0), "a torque of 1e-06 adds no damping that counts"),
         (lambda: propose_weights(LAG, 50 * ONE, 1.0, displacement=1.0), "so wide that no damping can be added"),
         (lambda: margins(ct.tf([1.0], [1.0, -1.0]), 0.1 * ONE, weighed()), "closed loop is not stable"),
         (lambda: margins(LAG, ct.ss([[0.5]], [[0.1]], [[0.1]], [[0.0]], True), weighed()), "give its dt in seconds"),
@@ -330,6 +331,8 @@ def test_envelopes_that_no_controller_can_be_made_from_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             est.control(fit, covered, responses, sample_time=0.01)
+    with pytest.raises(ValueError, match=r"displacement: is 15 m; give metres"):
+        est.control(fit, found, measured(), sample_time=0.01, displacement=15.0)
 
 
 def test_bad_reduction(design):

@@ -1,4 +1,4 @@
-"""A tachometer that reads a velocity while nothing turns is said so, and its noise is not."""
+"""A tachometer that reads a velocity while the arm stands still is said so, and its noise is not."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def said(velocity: np.ndarray, **how: str) -> list[str]:
     kind = "free" if how else "rest"
     position = np.round(1e-4 * np.sin(0.02 * np.arange(len(velocity))), 6) if how else np.full(len(velocity), 1e-6)
     one = Experiment.of("run", kind=kind, sample_time=0.002, cart_position=position, arm_velocity=velocity, **how)
-    return [text for text in concerns(Recording((one,), {"total_mass": 1.0})) if "nothing turns" in text]
+    return [text for text in concerns(Recording((one,), {"total_mass": 1.0})) if "the arm stands still" in text]
 
 
 @pytest.mark.parametrize("how", [{}, {"arm": "locked"}])

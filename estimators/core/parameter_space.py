@@ -1,5 +1,6 @@
 """The parameter space of a fit: which parameters are free, between which bounds, at which scale."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -68,6 +69,13 @@ class Space(eqx.Module):
         if self.known is None or self.known_std is None:
             return jnp.zeros(0)
         return (shared - self.known) / self.known_std
+
+    def at_given_values(self) -> "Space":
+        """Return the space without what is free or known beforehand, of which a pass at given values reads nothing.
+
+        So models of which more or less is free share one compiled function.
+        """
+        return dataclasses.replace(self, active=np.zeros(0, dtype=int), known=None, known_std=None)
 
     def penalty(self, shared: Float[Array, " parameter"]) -> float:
         """Return the negative logarithm of the priors' density, less a constant; not within compiled code."""

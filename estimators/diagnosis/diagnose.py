@@ -14,6 +14,7 @@ from estimators.core.fit import Fit
 from estimators.core.progress import Progress
 from estimators.core.sensor_noise import rounded
 from estimators.core.threads import one_blas_thread
+from estimators.diagnosis.base_predictor import compile_base, compile_for, fit_base, trusting, with_predictive_steps
 from estimators.diagnosis.candidate_results import candidates_of, nearest_simulated, not_testable
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
@@ -47,13 +48,6 @@ from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import assumed_noise, recoloured
 from estimators.diagnosis.part_of_samples import Looked, enough_of, part_of, suffices
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.refitting import (
-    compile_base,
-    compile_for,
-    fit_base,
-    trusting,
-    with_predictive_steps,
-)
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.simulation_remarks import found_by_simulation, of_nearest, untried, without_the_physics
 from estimators.diagnosis.testability import stood_for
@@ -123,8 +117,9 @@ def diagnose(
 
         def looked(at: Recording) -> Looked:
             return _diagnosed(
-                fit, at, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
-            )
+                fit, at, candidates, classes, policy, shown, deadline,
+                part=at is not recording, thorough=thorough, laws_first=laws_first,
+            )  # fmt: skip
 
         first = looked(part)
         told = first.told
@@ -152,11 +147,12 @@ def _diagnosed(
     shown: Progress,
     deadline: Deadline,
     *,
+    part: bool,
     thorough: bool,
     laws_first: bool,
 ) -> Looked:
     """Diagnose a fit by the recording that it was fitted to, or by a part of it."""
-    setting = setting_of(fit, recording, classes, shown, policy)
+    setting = setting_of(fit, recording, classes, shown, policy, part=part)
     # Where some are in the model already, as in the loop, its other tests are still worth asking.
     if not setting.absent and not any(c.id in fit.model for c in candidates or ()):
         raise ValueError(
@@ -338,4 +334,5 @@ def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[ty
 
     Of a long recording that is a part, unless the fit ends at the noise.
     """
-    compile_for(model, recording if model.per_experiment else part_of(recording), offered(model, candidates))
+    part = recording if model.per_experiment else part_of(recording)
+    compile_for(model, part, offered(model, candidates), part=part is not recording)

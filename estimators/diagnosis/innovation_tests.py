@@ -17,6 +17,7 @@ from estimators.core.threads import at_once
 from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, by_name, model_with, padded_space, shared, space_for
+from estimators.diagnosis.shared_structure import passed_as, probed_model
 from estimators.inference.shaken_simulation import simulation_deviation
 from estimators.inference.simulation_residual import of_unknown_noise
 from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
@@ -74,7 +75,9 @@ def grouped(setting: Setting, added: Sequence[str]) -> list[list[str]]:
 
 
 def _model_beside(setting: Setting, added: Sequence[str], others: Sequence[str]) -> RTAC:
-    """Return the base model with effects at null: what was added, then others."""
+    """Return the base model with effects at null: what was added, then others; beside no others what shares a structure, too."""
+    if not others and (common := probed_model(setting, added)) is not None:
+        return common
     return model_with(setting, [setting.absent[i] for i in setting.absent if i in added or i in others])
 
 
@@ -127,7 +130,8 @@ def screened_at_low_noise(setting: Setting, refit: Refit) -> list[Screened]:
     found = refit.predictor
     noise = low_process_noise(found.noise)
     prior = setting.prior.starting(refit.space)
-    passed = run_filter(refit.model, setting.data, refit.space, found.physical, prior, noise, setting.substeps)
+    model, space, physical = passed_as(setting, refit.added, refit.model, refit.space, found.physical)
+    passed = run_filter(model, setting.data, space, physical, prior, noise, setting.substeps)
     quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
     probed = _innovations(setting, quiet, [], quiet.free)
     basis = orthonormal(probed.jacobian())
@@ -150,9 +154,9 @@ def simulation_error(setting: Setting, fit: Fit, base: Refit) -> SimulationError
     physical = (
         jnp.asarray([values[name] for name in space.names]), base.predictor.physical[1], space.start,
     )  # fmt: skip
-    deviation = simulation_deviation(
-        base.model, setting.data, space, physical, setting.prior.starting(space), base.predictor.noise, setting.substeps
-    )
+    prior, noise = setting.prior.starting(space), base.predictor.noise
+    model, space, physical = passed_as(setting, base.added, base.model, space, physical)
+    deviation = simulation_deviation(model, setting.data, space, physical, prior, noise, setting.substeps)
     signal = motion_of(setting.data)
     rows = {c: CHANNELS.index(c) for c in fit.residual_std}
     return SimulationError(

@@ -9,6 +9,7 @@ import numpy as np
 from estimators.core.data import moving, origins
 from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
 from estimators.core.fit import Fit
+from estimators.diagnosis.base_predictor import fit_base
 from estimators.diagnosis.computed_models import ComputedModels
 from estimators.diagnosis.evidence import (
     EffectTraits,
@@ -24,13 +25,7 @@ from estimators.diagnosis.innovation_tests import (
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.noise_colour import coloured, recoloured
 from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.refitting import (
-    extended_simulation,
-    fit_base,
-    held_out_gains,
-    refit_each,
-    refit_first,
-)
+from estimators.diagnosis.refitting import extended_simulation, held_out_gains, refit_each, refit_first
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.simulated_fits import SimulatedFits
 from estimators.diagnosis.workers import Workers

@@ -1,4 +1,4 @@
-"""Refitting: the predictor of the base model, and refits with candidates added or taken away."""
+"""Refitting: the predictor of a model, with candidates added or taken away."""
 
 import contextlib
 import dataclasses
@@ -6,18 +6,15 @@ from collections.abc import Mapping, Sequence
 from functools import partial, reduce
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from estimators.closed_form.fit import starting_values
 from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
 from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.parameter_space import Space
-from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
-from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.core.results import NotIdentifiableError
 from estimators.diagnosis.contact_trials import (
     acting_on_arm,
     begins_of,
@@ -32,80 +29,16 @@ from estimators.diagnosis.gross_effects import placed_inside
 from estimators.diagnosis.innovation_tests import pieces_of_tests, run_tests, simulation_error
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
+from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, space_for
 from estimators.diagnosis.shared_structure import of_structure, run_as
 from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
-from estimators.prediction_error.coloured_noise import with_colours
-from estimators.prediction_error.filter_pass import without_shaken
-from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor, low_process_noise
-from estimators.prediction_error.predictive_steps import predictive_substeps
+from estimators.prediction_error.noise_estimation import fit_predictor, low_process_noise
 from estimators.validation.model_comparison import by_sample, held_out
 from rtac_jax import RTAC
-from rtac_jax.effects import Effect
-from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
-
-
-def compile_for(model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
-    """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
-    setting = set_up(model, recording, classes, {}, 1, Progress("compile", show=False))
-    for piece in pieces_of_tests(setting):  # first: a fit begins with the filter too, and compiles it
-        piece()
-    _compile_fit(setting, model_with(setting, []), tuple(shared(model)))
-
-
-def with_predictive_steps(setting: Setting) -> Setting:
-    """Return the setting with as few steps of integration in a sample as its predictions need; a free simulation may need more."""
-    most = int(setting.substeps)
-    model = model_with(setting, [])
-    space = begun(space_for(setting, model, tuple(shared(setting.model))), model, {})
-    physical = (space.values, space.each_values, space.start)
-    fewest = predictive_substeps(model, setting.data, space, physical, setting.prior.starting(space), most)
-    return dataclasses.replace(setting, substeps=jnp.asarray(fewest))
-
-
-def compile_base(setting: Setting) -> None:
-    """Compile what `fit_base` will run after the filter, which it begins with and compiles itself."""
-    _compile_fit(setting, model_with(setting, []), tuple(shared(setting.model)), noise=False)
-
-
-def fit_base(setting: Setting) -> Refit:
-    """Fit the base model.
-
-    It begins where the fit that is diagnosed ended; where that has run away, and predictions diverge there, in closed form.
-
-    Raises:
-        DivergedError: they diverge there, too.
-    """
-    free = tuple(shared(setting.model))
-    try:
-        return fitted(setting, (), model_with(setting, []), free, None, {})
-    except (FloatingPointError, np.linalg.LinAlgError):
-        model = with_colours(starting_values(setting.model, setting.recording), setting.colours)
-    try:
-        return fitted(setting, (), model, free, None, {})
-    except (FloatingPointError, np.linalg.LinAlgError) as error:
-        own = [effect.id for effect in setting.model.effects if effect.states]
-        without = f" Diagnose it without what has states of its own: {', '.join(own)} (model.without)." if own else ""
-        raise DivergedError(
-            f"Predictions one sample ahead diverge with this model, from the fit's values and from the closed form's.{without}"
-        ) from error
-
-
-def trusting(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
-    """Return the setting, and the base model fitted again, where no stick-slip ambiguous sample counts.
-
-    The samples are those of the base model, for all models: likelihoods compare only where they count the same
-    data.
-    """
-    if not np.any(base.predictor.filtered.shaken):
-        return setting, base
-    trusted = dataclasses.replace(setting, data=without_shaken(setting.data, base.predictor.filtered))
-    model = base.model.with_values(base.values)
-    return trusted, fitted(trusted, (), model, base.free, base.predictor.noise, base.start)
 
 
 def refit_with(setting: Setting, before: Refit, s: Screened) -> Refit:
@@ -326,11 +259,6 @@ def looseness_of(refit: Refit) -> dict[str, float]:
     """Return how loosely the data hold each added effect: the largest relative deviation that it takes part in."""
     known = information(refit.triangles, refit.space, refit.predictor.unknowns)
     return {effect: known.looseness(f"{effect}.") for effect in refit.added}
-
-
-def _compile_fit(setting: Setting, model: RTAC, free: Sequence[str], *, noise: bool = True) -> None:
-    space = space_for(setting, model, free)
-    compile_predictor(model, setting.data, space, setting.prior.starting(space), setting.substeps, noise=noise)
 
 
 def beginning(

@@ -36,10 +36,10 @@ _ROOM = 8  # unknowns are padded to a multiple of this
 
 @dataclasses.dataclass
 class Setting:
-    """The data, and the candidates at null.
+    """The data, and the candidates at null; `part` says that the fit was of more samples, and compiled nothing of this size.
 
     Screening simulates one model with all candidates at null; the filter, which costs the cube of the number of states, runs
-    on models with no more than what was added.
+    on models with no more states than what was added has.
     """
 
     model: RTAC
@@ -56,6 +56,7 @@ class Setting:
     start: dict[str, np.ndarray]
     progress: Progress
     policy: DiagnosisPolicy = STANDARD
+    part: bool = False
 
     @property
     def assumed(self) -> tuple[str, ...]:
@@ -105,20 +106,24 @@ def setting_of(
     classes: Sequence[type[Effect]],
     progress: Progress,
     policy: DiagnosisPolicy = STANDARD,
+    *,
+    part: bool = False,
 ) -> Setting:
     """Set up for the model of a fit.
 
     Args:
         fit: that is diagnosed.
-        recording: that it was fitted to.
+        recording: that it was fitted to, or a part of it.
         classes: of the candidates.
         progress: that is told of every step.
         policy: the thresholds.
+        part: whether it is a part.
     """
     model, starts = fit.model, fit.start
     if fit.lost:  # then it ended where nothing holds it, and refits would begin there
         model, starts = starting_values(model, recording), {}
-    return set_up(model, recording, classes, starts, int(fit.statistics["substeps"]), progress, policy)
+    found = set_up(model, recording, classes, starts, int(fit.statistics["substeps"]), progress, policy)
+    return dataclasses.replace(found, part=part)
 
 
 def set_up(

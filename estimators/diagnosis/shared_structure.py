@@ -1,15 +1,16 @@
 """The structure that refits share: with every simple candidate absent beside what was added, so that one program runs them all."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import reduce
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from estimators.core.fit import Fit
-from estimators.core.parameter_space import Space
-from estimators.diagnosis.setting import Setting, begun, model_with, padded_space, space_for
+from estimators.core.parameter_space import Physical, Space
+from estimators.diagnosis.setting import Setting, begun, by_name, model_with, padded_space, space_for
 from estimators.prediction_error.noise_estimation import Predictor
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Actuator, Effect, Force, Sensor
@@ -17,6 +18,8 @@ from rtac_jax.effects import CATALOGUE, Actuator, Effect, Force, Sensor
 # Samples times experiments, as they are padded, up to which it serves: a pass takes 1.4 times as long with twenty effects more, and
 # two programs of an effect's own, which a refit saves, 2.3 s of a processor (two cores, 2026-11-30), 250 passes of this size.
 _MOST = 8 * 4096
+# `Physical` of the model that is run, which has more parameters.
+_Physical = tuple[Float[Array, " run"], Float[Array, "each experiment"], Float[Array, "start experiment"]]
 _ROOM = 4  # unknowns are padded to a multiple of this: most simple effects have one or two
 
 
@@ -36,13 +39,45 @@ def _simple(setting: Setting) -> dict[str, Effect]:
     return {i: effect for i, effect in setting.absent.items() if is_simple(effect)}
 
 
-def run_model(setting: Setting, added: tuple[str, ...]) -> RTAC | None:
+def run_model(setting: Setting, added: Sequence[str]) -> RTAC | None:
     """Return a model with what was added and every other simple candidate absent; None where an own structure is as quick.
 
-    That is the base model's, whose fit has compiled it, one with an effect that is not simple, and of many samples.
+    That is the base model's, which its fit has compiled unless that was of more samples, one with an effect that is not simple,
+    and of many samples.
     """
+    return _with_simple(setting, added) if added or setting.part else None
+
+
+def probed_model(setting: Setting, added: Sequence[str]) -> RTAC | None:
+    """Return that model for the derivatives of innovations, which no fit compiles; None also of a base model with more states.
+
+    That was a refit of a diagnosis before, which has compiled it.
+    """
+    return None if any(effect.states for effect in setting.model.effects) else _with_simple(setting, added)
+
+
+def _with_simple(setting: Setting, added: Sequence[str]) -> RTAC | None:
     simple = _simple(setting)
-    return model_with(setting, list(simple.values())) if added and set(added) <= set(simple) else None
+    return model_with(setting, list(simple.values())) if simple and set(added) <= set(simple) else None
+
+
+def passed_as(
+    setting: Setting, added: Sequence[str], model: RTAC, space: Space, physical: Physical
+) -> tuple[RTAC, Space, _Physical]:
+    """Return what a pass of the filter is run by for a model with what was added, at given values.
+
+    Args:
+        setting: of the diagnosis.
+        added: ids of the effects beyond the base model.
+        model: with them.
+        space: of its parameters.
+        physical: their values, those of each experiment, and the states at the start.
+    """
+    if (run := run_model(setting, added)) is None:
+        return model, space, physical
+    shared, each, start = physical
+    wide = space_for(setting, run, ())
+    return run, wide, (by_name(wide, space, shared), each, start)
 
 
 def with_absent(setting: Setting, model: RTAC) -> RTAC | None:

@@ -140,7 +140,7 @@ def _arguments(
     """Return what a pass is given, its experiments `padded`."""
     scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
     sensor, (shared, each, at) = jnp.asarray(prior.sensor), physical
-    data, space, each, at, start = padded(data, space, each, at, prior.start_variance)
+    data, space, each, at, start = padded(data, space.at_given_values(), each, at, prior.start_variance)
     physical = (shared, each, at)
     return equations_of(model), data, space, physical, jnp.asarray(noise), scale, sensor, start, substeps
 

@@ -19,7 +19,7 @@ from estimators.prediction_error.force_probe import KNOTS, ForceProbe
 from rtac_jax import RTAC
 from rtac_jax.programs import program
 from rtac_jax.programs.arrays import to_jax
-from rtac_jax.simulation import Steps
+from rtac_jax.simulation import Steps, equations_of
 
 AT_ONCE = 8
 DIRECTIONS = 12
@@ -39,8 +39,8 @@ class Innovations:
         self.whitener, self.gain, self.substeps = whitener, gain, substeps
         self.used = np.asarray(data.present).any(axis=(0, 2))
         self.weight = np.asarray(data.present)[: data.samples, self.used]
-        wide, of_wide, whiteners, gains = padded(data, space, whitener, gain)
-        self._arguments = (model, wide, of_wide, whiteners, gains)
+        wide, of_wide, whiteners, gains = padded(data, space.at_given_values(), whitener, gain)
+        self._arguments = (equations_of(model), wide, of_wide, whiteners, gains)
 
     def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
         """Return innovations for several sets of shared parameter values, one column each."""

@@ -5,8 +5,8 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.progress import Progress
+from estimators.diagnosis.base_predictor import fit_base
 from estimators.diagnosis.noise_colour import assumed_noise, coloured, recoloured
-from estimators.diagnosis.refitting import fit_base
 from estimators.diagnosis.setting import setting_of
 from estimators.diagnosis.workers import Workers
 from rtac_jax import virtual_rig

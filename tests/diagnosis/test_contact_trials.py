@@ -13,10 +13,11 @@ from estimators.core.deadline import Deadline, OutOfTimeError
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
 from estimators.diagnosis import contact_trials
+from estimators.diagnosis.base_predictor import fit_base
 from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, in_turn
 from estimators.diagnosis.innovation_tests import screened_at_low_noise
 from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.refitting import fit_base, refit_thoroughly, refit_with
+from estimators.diagnosis.refitting import refit_thoroughly, refit_with
 from estimators.diagnosis.setting import setting_of
 from rtac_jax import virtual_rig
 from rtac_jax.effects import Backlash, Cogging, CubicSpring, CurrentLag, TachoBias

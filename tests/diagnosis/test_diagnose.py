@@ -161,7 +161,7 @@ def test_what_was_not_fitted_is_not_diagnosed(
     more = dataclasses.replace(recording, experiments=(*recording.experiments, other))
     seen: list[tuple[str, ...]] = []
 
-    def setting_of(fit: est.Fit, recording: rtac.Recording, *_: Any) -> None:
+    def setting_of(fit: est.Fit, recording: rtac.Recording, *_: Any, **__: Any) -> None:
         seen.append(recording.names)
         raise ArithmeticError("that is enough.")
 

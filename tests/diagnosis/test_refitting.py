@@ -169,23 +169,3 @@ def test_first_refits_are_those_that_do_not_diverge_in_the_order_asked(
     assert (answers is None) == ("cubic_spring" in diverging)
     each = refit_each(setting, refit_of(), near, "filter", Workers())
     assert list(each) == [effect for effect in left if effect != "cubic_spring"]
-
-
-def test_where_the_fit_ran_away_the_base_begins_in_closed_form(
-    setting: Setting, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun = []
-
-    def fits(where: Any, added: Any, model: RTAC, *_: Any) -> Refit:
-        begun.append(float(np.asarray(model["arm_inertia"])))
-        if begun[-1] > 1.0:
-            raise FloatingPointError("diverges")
-        return refit_of()
-
-    start = RTAC.paper().with_values({"arm_inertia": 2e-4})
-    monkeypatch.setattr(refitting, "starting_values", lambda model, recording: start)
-    monkeypatch.setattr(refitting, "fitted", fits)
-    setting.colours = {}
-    setting.model = RTAC.paper().with_values({"arm_inertia": 40.0})
-    refitting.fit_base(setting)
-    assert begun == [40.0, 2e-4]

@@ -11,11 +11,13 @@ import pytest
 import rtac_jax as rtac
 from estimators.core.progress import Progress
 from estimators.diagnosis import shared_structure
+from estimators.diagnosis.innovation_tests import run_tests
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import fitted
-from estimators.diagnosis.setting import Setting, model_with, set_up, shared
-from estimators.diagnosis.shared_structure import is_simple, run_model, with_absent, without_absent
-from estimators.prediction_error.filter_pass import _filter
+from estimators.diagnosis.setting import Setting, model_with, set_up, shared, space_for
+from estimators.diagnosis.shared_structure import is_simple, probed_model, run_model, with_absent, without_absent
+from estimators.prediction_error.filter_pass import _arguments, _filter
+from estimators.prediction_error.noise_estimation import first_noise
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, CubicSpring, FlexibleMode, ForceOffset, InputDelay, LvdtLag
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import equations_of
@@ -91,3 +93,44 @@ def test_simulations_with_simple_candidates_are_of_one_structure(setting: Settin
 @pytest.mark.parametrize("added", [(), ("arm_coulomb",), ("cubic_spring", "lvdt_lag"), ("flexible_mode",)])
 def test_others_have_their_own(setting: Setting, added: Any) -> None:
     assert run_model(setting, added) is None
+
+
+def test_of_a_part_the_base_model_has_it_too(setting: Setting) -> None:
+    part = dataclasses.replace(setting, part=True)
+    assert run_model(part, ()) is not None
+    assert run_model(part, ("flexible_mode",)) is None
+
+
+def test_derivatives_of_all_simple_models_are_of_it_but_not_of_a_base_model_with_states(setting: Setting) -> None:
+    several = [probed_model(setting, added) for added in ((), ("cubic_spring",), ("force_offset", "cubic_spring"))]
+    assert len({jax.tree.structure(equations_of(model)) for model in several if model is not None}) == 1
+    assert None not in several
+    assert probed_model(setting, ("flexible_mode",)) is None
+    mode = setting.model + FlexibleMode(0.1, 60.0, 0.02)
+    assert probed_model(dataclasses.replace(setting, model=mode), ()) is None
+
+
+@pytest.mark.slow
+def test_the_base_model_of_a_part_and_its_tests_end_as_in_its_own_structure(
+    setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = dataclasses.replace(setting, part=True)
+    wide, alone = refitted(part), refitted(setting)
+    assert wide.predictor.log_likelihood == pytest.approx(alone.predictor.log_likelihood, abs=1e-4)
+    assert wide.space.names == alone.space.names
+    tested = run_tests(part, wide)
+    monkeypatch.setattr(shared_structure, "_MOST", 0)
+    by_itself = run_tests(setting, alone)
+    for one, other in zip(tested.screened, by_itself.screened, strict=True):
+        assert one.id == other.id
+        assert float(one.statistic) == pytest.approx(float(other.statistic), rel=1e-3, abs=1e-2)
+
+
+def test_a_filter_is_one_program_whatever_is_free(setting: Setting) -> None:
+    programs = set()
+    for free in (["spring_stiffness"], shared(setting.model)):
+        space = space_for(setting, setting.model, free)
+        physical, prior = (space.values, space.each_values, space.start), setting.prior.starting(space)
+        given = _arguments(setting.model, setting.data, space, physical, prior, first_noise(), setting.substeps)
+        programs.add((jax.tree.structure(given), tuple(np.shape(leaf) for leaf in jax.tree.leaves(given))))
+    assert len(programs) == 1

@@ -8,8 +8,8 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.progress import Progress
 from estimators.diagnosis import innovation_tests
+from estimators.diagnosis.base_predictor import fit_base
 from estimators.diagnosis.innovation_tests import grouped, run_tests
-from estimators.diagnosis.refitting import fit_base
 from estimators.diagnosis.setting import setting_of
 from estimators.misspecification.candidate_screening import by_statistic
 from rtac_jax.effects import CATALOGUE

@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.progress import Progress
+from estimators.diagnosis.base_predictor import fit_base
 from estimators.diagnosis.noise_colour import recoloured
-from estimators.diagnosis.refitting import fit_base
 from estimators.diagnosis.setting import setting_of
 from estimators.prediction_error.coloured_noise import RestSpectrum, colours_at_rest, likeliest_colours, rest_spectra
 from rtac_jax.measurement import Experiment

@@ -14,10 +14,11 @@ from estimators.core.initial_state import scales_of
 from estimators.core.residual import start_rows
 from estimators.core.sensor_noise import noise_levels, only_rounding
 from estimators.core.threads import at_once
+from estimators.diagnosis.candidate_groups import candidate_groups, model_alone, model_beside
 from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.setting import Setting, begun, by_name, model_with, padded_space, shared, space_for
-from estimators.diagnosis.shared_structure import passed_as, probed_model
+from estimators.diagnosis.setting import Setting, begun, by_name, padded_space, shared, space_for
+from estimators.diagnosis.shared_structure import passed_as
 from estimators.inference.shaken_simulation import simulation_deviation
 from estimators.inference.simulation_residual import of_unknown_noise
 from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
@@ -38,9 +39,6 @@ from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC
 from rtac_jax.programs.arrays import to_jax
 
-_GROUPS = 4  # of candidates, each simulated with a model of its own
-_MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
-
 
 def pieces_of_tests(
     setting: Setting, added: Sequence[str] = (), free: Sequence[str] | None = None
@@ -53,32 +51,12 @@ def pieces_of_tests(
         free: its free parameters, by default those of the base model.
     """
     free = shared(setting.model) if free is None else free
-    alone = partial(_unfitted, setting, _model_beside(setting, added, ()), free)
-    groups = [
-        partial(_unfitted, setting, _model_beside(setting, added, group), free) for group in grouped(setting, added)
-    ]
+    alone = partial(_unfitted, setting, model_alone(setting, added), free)
+    groups = [partial(_unfitted, setting, group.model, free) for group in candidate_groups(setting, added)]
     return [
         lambda: alone().compile_derivatives(),
         *(partial(_compile, group) for group in groups),
     ]
-
-
-def grouped(setting: Setting, added: Sequence[str]) -> list[list[str]]:
-    """Return the candidates that were not added, as they are simulated together.
-
-    A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
-    samples, a few smaller models are faster. The group of an effect that was added stays a model that is compiled.
-    """
-    count = _GROUPS if setting.data.samples * setting.data.experiments > _MANY else 1
-    groups = [[i for i in list(setting.absent)[first::count] if i not in added] for first in range(count)]
-    return [group for group in groups if group]
-
-
-def _model_beside(setting: Setting, added: Sequence[str], others: Sequence[str]) -> RTAC:
-    """Return the base model with effects at null: what was added, then others; beside no others what shares a structure, too."""
-    if not others and (common := probed_model(setting, added)) is not None:
-        return common
-    return model_with(setting, [setting.absent[i] for i in setting.absent if i in added or i in others])
 
 
 def _unfitted(setting: Setting, model: RTAC, free: Sequence[str]) -> Innovations:
@@ -93,7 +71,7 @@ def _unfitted(setting: Setting, model: RTAC, free: Sequence[str]) -> Innovations
 def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tested:
     """Run all tests of the innovations of a model; `ahead` compiles `pieces_of_tests`."""
     ready = _nothing if ahead is None else ahead.next
-    probed = _innovations(setting, refit, [], refit.free)
+    probed = _innovations(setting, refit, model_alone(setting, refit.added), refit.free)
     ready()
     jacobian = probed.jacobian()
     basis = orthonormal(jacobian)
@@ -133,7 +111,7 @@ def screened_at_low_noise(setting: Setting, refit: Refit) -> list[Screened]:
     model, space, physical = passed_as(setting, refit.added, refit.model, refit.space, found.physical)
     passed = run_filter(model, setting.data, space, physical, prior, noise, setting.substeps)
     quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
-    probed = _innovations(setting, quiet, [], quiet.free)
+    probed = _innovations(setting, quiet, model_alone(setting, quiet.added), quiet.free)
     basis = orthonormal(probed.jacobian())
     return _screened(setting, quiet, probed, _error(setting, quiet, probed, basis), basis)
 
@@ -182,7 +160,7 @@ def lines_of(setting: Setting, refit: Refit) -> tuple[LineClass, ...]:
 
 def latent_of(setting: Setting, refit: Refit) -> tuple[LatentForce, ...]:
     """Return the missing force in time."""
-    probed = _innovations(setting, refit, [], [])
+    probed = _innovations(setting, refit, model_alone(setting, refit.added), [])
     scales = scales_of(setting.model, setting.experiments)
     physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
     return latent_forces(
@@ -212,7 +190,7 @@ def _screened(
         return screen(_groups(setting, refit, raw), error, basis, ready or _nothing, setting.policy.critical)
     except NotNothingError as found:
         for i in found.ids:
-            alone = _innovations(setting, refit, [i], refit.free)
+            alone = _innovations(setting, refit, model_beside(setting, refit.added, i), refit.free)
             if not same(alone.at(np.asarray(alone.space.values)[None])[:, 0], raw):
                 raise ValueError(
                     f"candidates: {i} changes what the model predicts although its parameters are at null, or makes it "
@@ -223,14 +201,18 @@ def _screened(
 
 def _groups(setting: Setting, refit: Refit, raw: np.ndarray) -> list[Group]:
     return [
-        Group(_innovations(setting, refit, group, refit.free), [i for i in setting.instances if i.id in group], raw)
-        for group in grouped(setting, refit.added)
+        Group(
+            _innovations(setting, refit, group.model, refit.free),
+            [i for i in setting.instances if i.id in group.ids],
+            raw,
+        )
+        for group in candidate_groups(setting, refit.added)
     ]
 
 
 def limits_of(setting: Setting, refit: Refit, best: Mapping[str, Screened]) -> dict[str, float]:
     """Return the size from which on each candidate would be found beside a fitted model."""
-    probed = _innovations(setting, refit, [], refit.free)
+    probed = _innovations(setting, refit, model_alone(setting, refit.added), refit.free)
     basis = orthonormal(probed.jacobian())
 
     def of(group: Group) -> dict[str, float]:
@@ -251,9 +233,8 @@ def _error(setting: Setting, refit: Refit, probed: Innovations, basis: Rows) -> 
     return raw - basis @ (basis.T @ raw)
 
 
-def _innovations(setting: Setting, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:
-    """Return the innovations of a fitted model with some of the candidates at null."""
-    model = _model_beside(setting, refit.added, others)
+def _innovations(setting: Setting, refit: Refit, model: RTAC, free: Sequence[str]) -> Innovations:
+    """Return the innovations of a fitted model, as those of a model with candidates at null beside it."""
     space = padded_space(setting, model, free)
     predictor = refit.predictor
     space = begun(space, model, refit.start)

@@ -32,11 +32,14 @@ def is_simple(effect: Effect) -> bool:
     return known and not effect.states and isinstance(effect, Force | Actuator | Sensor)
 
 
+def is_short(setting: Setting) -> bool:
+    """Return whether there are so few samples that code costs more than passes."""
+    return setting.data.room * setting.data.experiments <= _MOST
+
+
 def _simple(setting: Setting) -> dict[str, Effect]:
-    """Return the absent candidates that may share a structure, by id; none of many samples, where a pass costs more than code."""
-    if setting.data.room * setting.data.experiments > _MOST:
-        return {}
-    return {i: effect for i, effect in setting.absent.items() if is_simple(effect)}
+    """Return the absent candidates that may share a structure, by id; none of many samples."""
+    return {i: effect for i, effect in setting.absent.items() if is_short(setting) and is_simple(effect)}
 
 
 def run_model(setting: Setting, added: Sequence[str]) -> RTAC | None:

@@ -189,6 +189,7 @@ def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach
     assert 'model.each_experiment("torque_constant")' in found.differences
 
 
+@pytest.mark.slow
 def test_what_goes_with_the_motion_is_an_effect_sooner_than_a_drift(drifted):
     """A stiffness that goes with the amplitude is that of a spring that hardens."""
     _, found = drifted
@@ -262,6 +263,7 @@ def test_a_parameter_that_is_nearly_nothing_in_common_may_drift():
     assert values == pytest.approx([0.5, -0.5] * 3, abs=0.02)
 
 
+@pytest.mark.slow
 def test_where_no_experiment_is_followed_by_itself_nothing_is_found(drifted):
     _, found = drifted
     assert found.decisive

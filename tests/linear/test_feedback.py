@@ -35,7 +35,7 @@ def test_an_input_that_follows_the_errors_shows_at_negative_lags_only() -> None:
     assert 0.3 < np.mean(alone) < 0.7
 
 
-@pytest.mark.parametrize("gain", [0.0, 40.0])
+@pytest.mark.parametrize("gain", [pytest.param(0.0, marks=pytest.mark.slow), 40.0])
 def test_a_controller_that_acts_in_the_same_sample_is_feedback_and_no_missing_dynamics(gain: float) -> None:
     """A spring and mass under u = r - L y, with L a gain behind a filter; the noise of the sensor goes round the loop."""
     rtac.configure()

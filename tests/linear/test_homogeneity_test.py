@@ -100,9 +100,9 @@ def test_an_envelope_takes_responses_and_systems():
 
 def test_free_unknowns_of_the_noise_alone_leave_no_condition_out():
     """White noise under a model of coloured noise: a pole on a zero in some conditions, of which G is known as in the others."""
-    found = est.prediction_error(equal_plants(3, ([1.0], [1.0]), 0.0, 40), compensate=False, progress=False)
+    found = est.prediction_error(equal_plants(3, ([1.0], [1.0]), 0.0, 16), compensate=False, progress=False)
     idle = np.array([one.idle > 0 for one in found])
-    assert 1 <= np.sum(idle) < 40
+    assert 1 <= np.sum(idle) < 16
     assert found.equality().left_out == ()
     assert "leaves G as it is" in found.models[int(np.argmax(idle))].verdict
     std = np.array([one.std[0] for one in found])

@@ -118,6 +118,7 @@ def test_intervals_of_output_error_hold_the_truth_of_the_model_itself():
         assert at["coverage_low"] < 0.95 <= at["coverage_high"]
 
 
+@pytest.mark.slow
 def test_random_forces_are_more_than_output_error_states():
     spec = small(
         repetitions=30,

@@ -141,7 +141,7 @@ def test_channels_of_one_experiment_are_held_against_each_other_without_a_fit(re
     assert not any(words in sentence for sentence in concerns(recordings[1]))
 
 
-@pytest.mark.parametrize("samples", [5, 8])
+@pytest.mark.parametrize("samples", [5, pytest.param(8, marks=pytest.mark.slow)])
 def test_a_late_current_of_a_clamped_motor_is_named_beside_its_mirror(samples):
     """Of two channels one is late as the other is early, which is one clock, and not several numbers of samples."""
     time = 0.002 * np.arange(2500)

@@ -106,6 +106,7 @@ def test_a_spring_that_hardens_is_no_parameter_that_differs() -> None:
     assert found is None or not found.is_of_the_rig
 
 
+@pytest.mark.slow
 def test_where_no_experiment_was_fitted_by_itself_a_parameter_begins_at_the_common_fit(
     fit: est.Fit, softening: rtac.Recording
 ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from ._errors import RecordingError
 from ._signal import INPUTS, positive
@@ -85,6 +85,9 @@ def resampled(
 ) -> dict[str, Values]:
     """Return channels at samples a step apart: straight from row to row, missing in gaps; inputs that are held stay as they are.
 
+    Of those a sample takes what holds in the middle of its interval. What holds at its beginning would be the row before wherever a
+    row is stamped a little later than the first, and late by a whole sample.
+
     Args:
         signals: by channel, at the times of the rows.
         times: [s].
@@ -105,11 +108,12 @@ def resampled(
     at = times[0] + step * np.arange(int((times[-1] - times[0]) / step * (1 + UNIFORM)) + 1)
     before = np.clip(np.searchsorted(times, at + UNIFORM * step, side="right") - 1, 0, len(times) - 1)
     after = np.minimum(before + 1, len(times) - 1)
+    amid = np.clip(np.searchsorted(times, at + 0.5 * step, side="right") - 1, 0, len(times) - 1)
     unknown = (times[after] - times[before] > _GAP * typical) & (at - times[before] > UNIFORM * step)
 
     def of(channel: str, values: Values) -> Values:
         if channel in held:
-            return values[before]
+            return values[amid]
         between = np.interp(at, times, values)  # beside a missing sample it is missing, too
         return between if channel in INPUTS else np.where(unknown, np.nan, between)
 
@@ -126,5 +130,19 @@ def _rising(times: Values, column: str, offset: int) -> Values:
     bad = ~(steps > 0)
     if not len(steps) or bad.any():
         index = int(np.argmax(bad)) + 1 + offset if len(steps) else offset
-        raise RecordingError(f"{column}, index {index}: the time does not increase; sort, mend or cut the rows there.")
+        mend = "sort or cut the rows there"
+        if len(steps) and steps[index - 1 - offset] == 0:
+            mend = (
+                "rows that say the same twice are dropped by mend=True (--mend of rtac import); cut or correct others"
+            )
+        raise RecordingError(f"{column}, index {index}: the time does not increase; {mend}.")
     return steps
+
+
+def said_twice(times: Values, signals: Mapping[str, Values]) -> Bool[np.ndarray, " sample"]:
+    """Return True at rows that say the same as the row before, time and all, as of a logger that wrote them twice."""
+    again = np.diff(times, prepend=np.nan) == 0
+    for values in signals.values():
+        change = np.diff(values, prepend=np.nan)
+        again &= (change == 0) | (np.isnan(values) & np.isnan(np.roll(values, 1)))
+    return again

@@ -8,7 +8,7 @@ from typing import Any, TypedDict
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from ._clock import nearest_clock, resampled, uniform_step
+from ._clock import nearest_clock, resampled, said_twice, uniform_step
 from ._errors import RecordingError
 from ._experiment import Experiment
 from ._mending import mended, places_of_rows, with_rows
@@ -32,11 +32,11 @@ class ImportOptions(TypedDict, total=False):
         start, stop: samples that are taken, from `start` up to but without `stop`.
         remove_mean: channels that lose their mean over these.
         unwrap: take jumps of whole turns out of arm_angle, as of an encoder that begins again after a turn.
-        mend: put rows that a logger lost, as the times tell, back as missing samples (inputs run on), and make samples missing that
-            are no measurement; see `Recording.mended`.
+        mend: drop rows that a logger wrote twice, put those that it lost, as the times tell, back as missing samples (inputs run
+            on), and make samples missing that are no measurement; see `Recording.mended`.
         resample: seconds between the samples to which rows at uneven times are brought: outputs by straight lines between rows that
-            are no gap, and inputs that are held as the last row has them. The noise of what lies between two rows is less than
-            theirs.
+            are no gap, and inputs that are held as they are in the middle of a sample's interval. The noise of what lies between
+            two rows is less than theirs.
         rig: constants, each with an optional `NAME_std`, as in `Recording`.
         intersample, noise_std, initial_arm_angle, initial_arm_angle_std, arm, cart: as in `Experiment.of`.
     """
@@ -154,6 +154,8 @@ def assemble(
         signals[channel] = values
     if time is not None:
         seconds = columns[time][start:stop] * _factor("time", time, units or {}, {})
+        if mend and (again := said_twice(seconds, signals)).any():
+            seconds, signals = seconds[~again], {c: x[~again] for c, x in signals.items()}
         places = places_of_rows(seconds)
         between = conditions.get("intersample", "zoh")
         inputs = [c for c in channels if c in INPUTS]

@@ -42,10 +42,37 @@ def test_rows_at_uneven_times_are_brought_to_one_clock(tmp_path: Path) -> None:
     np.testing.assert_array_less(np.abs(position - truth)[~np.isnan(position)], 0.02 * 81 * 0.007**2 / 8 + 1e-8)
     in_gap = (clock > times[200] + 1e-6) & (clock < times[201] - 1e-6)
     assert np.array_equal(np.isnan(position), in_gap)
-    before = np.searchsorted(np.round(times, 6), clock + 1e-9, side="right") - 1
-    assert np.array_equal(run.inputs["current"].values, np.floor(times[before] / 0.5) % 2), (
-        "held as its last row has it"
-    )
+    amid = np.searchsorted(np.round(times, 6), clock + 0.003, side="right") - 1
+    assert np.array_equal(run.inputs["current"].values, np.floor(times[amid] / 0.5) % 2), "held as amid its interval"
+
+
+def test_rows_that_are_stamped_late_make_no_input_late(tmp_path: Path) -> None:
+    """A loop on an exact clock whose rows are stamped up to a fifth of a step after what they say."""
+    current = RNG.standard_normal(400)
+    times = 0.005 * np.arange(400) + 0.001 * RNG.random(400)
+    rows = np.column_stack([np.round(times, 6), current, np.sin(times)])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header="t,i,x", comments="", fmt="%.9g")
+    found = read(tmp_path / "run.csv", resample=0.005)["run"].inputs["current"].values
+    assert len(found) >= 399
+    np.testing.assert_allclose(found, current[: len(found)], rtol=1e-8)
+
+
+def test_rows_that_are_written_twice_are_dropped_if_asked_and_others_are_not(tmp_path: Path) -> None:
+    times = 0.005 * np.arange(100)
+    rows = np.column_stack([times, np.arange(100) % 7, np.sin(times)])
+    twice = np.insert(rows, [40, 41, 80], rows[[39, 40, 79]], axis=0)
+    np.savetxt(tmp_path / "twice.csv", twice, delimiter=",", header="t,i,x", comments="", fmt="%.9g")
+    with pytest.raises(
+        RecordingError, match=r"index 40: the time does not increase; rows that say the same twice are dropped by"
+    ):
+        read(tmp_path / "twice.csv")
+    run = read(tmp_path / "twice.csv", mend=True)["twice"]
+    np.testing.assert_allclose(run.inputs["current"].values, rows[:, 1])
+    np.testing.assert_allclose(run.outputs["cart_position"].values, rows[:, 2], rtol=1e-8)
+    twice[40, 2] += 0.1
+    np.savetxt(tmp_path / "other.csv", twice, delimiter=",", header="t,i,x", comments="", fmt="%.9g")
+    with pytest.raises(RecordingError, match=r"index 40: the time does not increase; .* cut or correct others"):
+        read(tmp_path / "other.csv", mend=True)
 
 
 def test_an_input_between_whose_rows_straight_lines_are_asked(tmp_path: Path) -> None:

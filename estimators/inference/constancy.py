@@ -11,7 +11,7 @@ from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit
 from estimators.inference.separate_fits import about_common, about_own
-from estimators.inference.varying_parameters import SHOWN, explained, left_without, outlying, selected
+from estimators.inference.varying_parameters import SHOWN, explained, is_followed, left_without, outlying, selected
 from estimators.linear.homogeneity_test import Covariates, Equality, given_covariates, trend_of, varying
 from estimators.linear.outlier import Outlier
 from rtac_jax import require_configured
@@ -88,7 +88,12 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         p_values[i] = scipy.stats.chi2.sf(beside @ precision @ beside, int(np.sum(shown)) - 1)
         told = varying({name: x[shown] for name, x in every.items()})
         trends.append(tuple(trend_of(name, x, each, precision) for name, x in told.items()))
-    chosen = selected(information, slope, level)
+    exact = around.exact
+    chosen = (
+        selected(information, slope, level)
+        if exact is None
+        else selected(information, slope, level, followed=lambda free: is_followed(*exact, free))
+    )
     one = outlying(information, slope, level)
     return Equality(
         names=names, units=tuple(fit.model.parameters[name].unit for name in names),

@@ -24,6 +24,14 @@ _TOLERATED = 1e-3
 _SURE = 3.0  # deviations of its own from zero, from which the ratio of two values of a parameter means something
 
 
+class Exact(NamedTuple):
+    """Information and gradient of every experiment without what is tolerated, and the number of measured values."""
+
+    information: Float[np.ndarray, "experiment parameter parameter"]
+    slope: Float[np.ndarray, "experiment parameter"]
+    samples: int
+
+
 class Curvatures(NamedTuple):
     """The log-likelihood of every experiment to second order, in the parameters' distance from the common fit.
 
@@ -34,6 +42,7 @@ class Curvatures(NamedTuple):
         median_over_noise: the median of that over the experiments.
         logarithmic: parameters whose distance is the logarithm of a ratio, times their size in the common fit. Data tell the
             ratio of some better than either, and lines of ratios that differ a little meet nowhere but at zero.
+        exact: the same where no parameter may be off by itself; None about the common fit.
     """
 
     information: Float[np.ndarray, "experiment parameter parameter"]
@@ -41,6 +50,7 @@ class Curvatures(NamedTuple):
     over_noise: dict[str, float]
     median_over_noise: dict[str, float]
     logarithmic: Bool[np.ndarray, " parameter"]
+    exact: Exact | None
 
 
 def about_common(problem: Problem, names: Sequence[str]) -> Curvatures:
@@ -53,6 +63,7 @@ def about_common(problem: Problem, names: Sequence[str]) -> Curvatures:
         {},
         {},
         np.zeros(len(names), dtype=bool),
+        None,
     )
 
 
@@ -111,7 +122,7 @@ def _pooled(
     logarithmic = np.all((values * common > 0) & (np.abs(values) > _SURE * std), axis=0)
     ratio = np.where(logarithmic, values / np.where(common == 0, 1.0, common), 1.0)
     away = np.where(logarithmic, -common * np.log(ratio), common - values)
-    information, slope = [], []
+    information, slope, exact, samples = [], [], [], 0
     for place, (experiment, found) in enumerate(zip(experiments, own, strict=True)):
         ended = found.model
         plain = RTAC(ended.body, ended.effects, ended.fixed, ended.per_experiment)
@@ -120,12 +131,15 @@ def _pooled(
         jacobian = rows.jacobian[..., [problem.names.index(name) for name in names]] * ratio[place]
         whole = np.einsum("soep,soeq->pq", jacobian, jacobian)
         gradient = np.einsum("soep,soe->p", jacobian, rows.residual) + whole @ away[place]
+        exact.append((whole, gradient))
+        samples += int(np.sum(np.asarray(problem.arguments.data.present)))
         tolerant, told = _tolerating(whole, gradient, _TOLERATED * size)
         information.append(tolerant)
         slope.append(told)
     left = {c: [f.residual_over_noise.get(c, 0.0) for f in own] for c in deviation if fit.noise.get(c, 0.0) > 0}
     over, median_over_noise = ({c: float(of(x)) for c, x in left.items()} for of in (np.max, np.median))
-    return Curvatures(np.stack(information), np.stack(slope), over, median_over_noise, logarithmic)
+    known = Exact(np.stack([i for i, _ in exact]), np.stack([s for _, s in exact]), samples)
+    return Curvatures(np.stack(information), np.stack(slope), over, median_over_noise, logarithmic, known)
 
 
 def _tolerating(

@@ -1,7 +1,7 @@
 """Selection of what differs between experiments: the fewest parameters that, free in each, explain it, or one experiment alone."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +57,7 @@ class Chosen(NamedTuple):
         places: of them, the one that explains most by itself first.
         fraction: of the chi-square that they explain together.
         rival: the same of the best other set of as many.
-        suffices: whether what is left is what chance leaves, or next to nothing.
+        suffices: whether what is left is what chance leaves, or next to nothing, and experiments are followed with it.
     """
 
     places: tuple[int, ...]
@@ -66,10 +66,23 @@ class Chosen(NamedTuple):
     suffices: bool
 
 
-def selected(information: Information, slope: Slope, level: float) -> Chosen:
+def selected(
+    information: Information,
+    slope: Slope,
+    level: float,
+    *,
+    followed: Callable[[Sequence[int]], bool] = lambda free: True,
+) -> Chosen:
     """Return the fewest parameters that explain that experiments differ, of all sets of one, two and three.
 
     Taken one after the other, a parameter that goes along with two others would come first though it does not differ itself.
+
+    Args:
+        information: of each experiment.
+        slope: gradient of each experiment's log-likelihood.
+        level: at which they differ.
+        followed: whether the experiments are followed with these parameters free in each: a small change of what shows much may be
+            next to nothing of the differences, and most of the residual.
     """
     parameters = slope.shape[1]
     whole, freedom = explained(information, slope, range(parameters))
@@ -78,16 +91,35 @@ def selected(information: Information, slope: Slope, level: float) -> Chosen:
         return found
     for size in range(1, min(_NAMED, parameters) + 1):
         sets = {free: explained(information, slope, free) for free in itertools.combinations(range(parameters), size)}
-        best, *others = sorted(sets, key=lambda free: -sets[free][0])
-        gained, spent = sets[best]
-        left = scipy.stats.chi2.sf(max(whole - gained, 0.0), max(1, freedom - spent))
-        rival = max((sets[free][0] for free in others), default=0.0)
-        suffices = bool(left >= level) or gained > NEXT_TO_ALL * whole
+        order = sorted(sets, key=lambda free: -sets[free][0])
+        enough = [free for free in order if _explains(*sets[free], whole, freedom, level) and followed(free)]
+        best, suffices = (enough or order)[0], bool(enough)
+        gained = sets[best][0]
+        rival = max((sets[free][0] for free in order if free != best), default=0.0)
         alone = sorted(best, key=lambda p: -explained(information, slope, [p])[0])
         found = Chosen(tuple(alone), min(gained / whole, 1.0), rival / whole, suffices)
         if suffices:
             break
     return found
+
+
+def _explains(gained: float, spent: int, whole: float, freedom: int, level: float) -> bool:
+    """Return whether what is left of a chi-square is what chance leaves, or next to nothing."""
+    left = scipy.stats.chi2.sf(max(whole - gained, 0.0), max(1, freedom - spent))
+    return bool(left >= level) or gained > NEXT_TO_ALL * whole
+
+
+def is_followed(information: Information, slope: Slope, samples: int, free: Sequence[int]) -> bool:
+    """Return whether what these parameters, free in each experiment, leave of the differences is less than the noise.
+
+    Args:
+        information: of each experiment.
+        slope: gradient of each experiment's log-likelihood.
+        samples: number of measured values, each of which the noise adds one to the squared residual.
+        free: places of the parameters.
+    """
+    whole, _ = explained(information, slope, range(slope.shape[1]))
+    return whole - explained(information, slope, free)[0] < samples
 
 
 def left_without(information: Information, slope: Slope) -> tuple[tuple[float, int], ...]:

@@ -1,10 +1,11 @@
 """An offset of the cart's position: a place around which it moves, and where the spring is not at rest."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from estimators.validation.equilibrium import is_held
+from estimators.validation.equilibrium import ONE_SIDED, is_held
+from rtac_jax.measurement import Experiment
 
 # A plane that is off level by two degrees shows to the eye; an offset beyond what it gives, g sin(2 deg) / (k / (M+m)), is no tilt.
 LEVEL = 9.81 * np.sin(np.deg2rad(2.0))
@@ -14,18 +15,24 @@ _PULLED = (
 )
 
 
-def offset_of_all(coefficients: Mapping[str, float], longest: float) -> float | None:
+def offset_of_all(coefficients: Mapping[str, float], experiments: Sequence[Experiment]) -> float | None:
     """Return around which place the cart of all experiments moves [m], if further off than a tilted plane can bring it.
+
+    Of a stiff spring that is next to nothing beside the motion, and shifts by as much if it is softer on one side or hysteretic.
 
     Args:
         coefficients: of the equations divided by M+m, as `equation_error.COEFFICIENTS` names them.
-        longest: time of the longest experiment [s].
+        experiments: all of them.
     """
+    longest = max(e.sample_time * e.samples for e in experiments)
+    positions = [e.outputs["cart_position"].values for e in experiments if "cart_position" in e.outputs]
+    amplitude = max((np.sqrt(2) * float(np.nanstd(values)) for values in positions), default=0.0)
     push = coefficients["offset"] - coefficients["against_offset"]
     if coefficients["spring"] <= 0 or abs(push) < LEVEL or not is_held(coefficients["spring"], longest):
         return None
     # The equation is q'' + k/(M+m) (q - offset) = 0, so the constant is less the offset's fraction of the spring.
-    return -push / coefficients["spring"]
+    off = -push / coefficients["spring"]
+    return off if abs(off) > ONE_SIDED * amplitude else None
 
 
 def of_all(off: float) -> str:

@@ -35,8 +35,7 @@ SUSPICIOUS = 3.0
 # Ratio of residuals below which two mistakes explain equally well: the standard deviation of the residual of 200 rows is 5 %, and
 # that of a ratio of two is 7 %.
 ALIKE = 1.15
-# Experiments in which a mistake of all is looked for.
-_SEARCHED = 4
+_SEARCHED = 4  # experiments in which a mistake of all is looked for
 _SURE = 3.0  # times what is asked of all, from which on two experiments settle that a mistake does not explain them
 _SIGNS_OF_INPUTS = ("sign of disturbance_force", "sign of current")
 _PROMISING = 0.7  # of the residual, below which a coarse delay is refined: the root of a half
@@ -127,9 +126,8 @@ def _searched(recording: Recording) -> ChannelConsistency:
     if offsets and found is None and (sign := search.sign()) is not None:
         found, offsets = sign, []
     each = {name: residual_of(rows, search.agreed.coefficients) for name, rows in search.systems.items()}
-    return ChannelConsistency(
-        before.residual, each, tuple(one for one in (found, *offsets, *singles) if one is not None)
-    )
+    named = tuple(one for one in (found, *offsets, *singles) if one is not None)
+    return ChannelConsistency(before.residual, each, named)
 
 
 class _Search:
@@ -157,7 +155,8 @@ class _Search:
             # From those that the others contradict most to those that they do not.
             order = sorted(names, key=lambda name: residual_of(self.systems[name], self.agreed.coefficients))
             names = [order[round(place)] for place in np.linspace(0, len(order) - 1, _SEARCHED)]
-        as_recorded = solve([self.systems[name] for name in names]).residual
+        recorded = solve([self.systems[name] for name in names])
+        as_recorded = recorded.residual
         if as_recorded < SUSPICIOUS:
             return None
         # Leaving out a few must not do better.
@@ -174,7 +173,8 @@ class _Search:
             # What leaves most of the motion itself unexplained, or no motion beyond noise, is no mistake that is undone.
             if solution is None or solution.residual**2 > EXPLAINS * solution.motion**2 or solution.motion < SUSPICIOUS:
                 return np.inf
-            return solution.residual
+            # Channels that change places change their noise, too: no more of what moves must be left than as recorded.
+            return solution.residual if solution.relative <= recorded.relative else np.inf
 
         best = _likeliest(_scored(score, ("cart_position", "arm_velocity", "current"), as_recorded), as_recorded)
         if best is None or best[2] > enough:
@@ -192,8 +192,7 @@ class _Search:
             as_recorded,
             after,
             f"{'all experiments' if everywhere else ', '.join(having)}: the equations of motion leave {as_recorded:.3g} times the "
-            f"noise, and {after:.3g} times if one "
-            f"mistake is undone: {mistake.seen}; {mistake.mend}.{as_well(alike)}",
+            f"noise, and {after:.3g} times if one mistake is undone: {mistake.seen}; {mistake.mend}.{as_well(alike)}",
         )
 
     def _whole(self, mistake: Mistake) -> Recording:
@@ -222,8 +221,9 @@ class _Search:
 
     def offsets(self, others: Collection[str]) -> list[Inconsistency]:
         """Return around which other place than zero the carts move, of all experiments and of each besides others, by name."""
-        longest = max(e.sample_time * e.samples for e in self.experiments.values())
-        off = offset_of_all(self._coefficients, longest)
+        if self.recording.rig.get("spring_stiffness") == 0.0:
+            return []  # no spring is at rest anywhere
+        off = offset_of_all(self._coefficients, list(self.experiments.values()))
         found = [] if off is None else [self._offset(None, of_all(off))]
         each = {name: e for name, e in self.experiments.items() if name not in others}
         places = {name: distance_from_equilibrium(e, self._coefficients) for name, e in each.items()}

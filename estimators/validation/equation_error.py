@@ -189,6 +189,11 @@ class Solution:
         """Root mean square over all experiments, in standard deviations of the noise."""
         return gaussian(self.squares, self.rows)
 
+    @property
+    def relative(self) -> float:
+        """Residual over the motion; infinite where nothing moves."""
+        return self.residual / self.motion if self.motion > 0 else float("inf")
+
 
 def solve(systems: Sequence[Rows]) -> Solution:
     """Fit the coefficients of several experiments by least trimmed squares without negative ones.

@@ -9,7 +9,7 @@ from rtac_jax.measurement import Experiment
 # Times what the equation in the mean allows, as it is computed from estimated coefficients.
 _SLACK = 2.0
 # Of the amplitude: a spring that is softer on one side shifts the mean, by a twentieth where it is a tenth softer.
-_ONE_SIDED = 0.25
+ONE_SIDED = 0.25
 
 
 def distance_from_equilibrium(experiment: Experiment, coefficients: Mapping[str, float]) -> float | None:
@@ -41,7 +41,7 @@ def distance_from_equilibrium(experiment: Experiment, coefficients: Mapping[str,
         coefficients["dry"] / spring + (2 * coefficients["swing"] / spring * speed + ends) / time
         + coefficients["viscous"] / spring * abs(float(position[known][-1] - position[known][0])) / time
     )  # fmt: skip
-    return off if abs(off) > _SLACK * allowed + _ONE_SIDED * amplitude else None
+    return off if abs(off) > _SLACK * allowed + ONE_SIDED * amplitude else None
 
 
 def is_held(spring: float, time: float) -> bool:

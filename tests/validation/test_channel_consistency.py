@@ -25,7 +25,9 @@ from spoilt_recordings import (
 import estimators as est
 import rtac_jax as rtac
 from estimators.validation import arm_kinematics
+from estimators.validation.cart_offset import offset_of_all
 from estimators.validation.channel_consistency import _likeliest, _Search, _undone
+from estimators.validation.equation_error import COEFFICIENTS, solve
 from estimators.validation.equilibrium import is_held
 from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
@@ -200,6 +202,44 @@ def test_the_symmetries_of_the_rig_are_offered_as_well(clean):
     assert est.channel_consistency(everywhere(clean, mirrored)).concerns == []
 
 
+def test_an_offset_that_is_little_beside_the_motion_is_no_contradiction_on_a_stiff_spring(clean):
+    """Two degrees of tilt are micrometres on a spring of 50,000 N/m; so are hysteresis and what softens one side."""
+    moving = [e for e in clean if e.kind != "rest"]
+    amplitude = np.sqrt(2) * max(float(np.std(e.outputs[POSITION].values)) for e in moving)
+    stiff = dict.fromkeys(COEFFICIENTS, 0.0) | {"spring": 5e4}
+    for fraction, told in ((0.01, False), (0.2, False), (0.3, True), (-0.3, True)):
+        off = offset_of_all(stiff | {"against_offset": fraction * amplitude * 5e4}, moving)
+        assert (off is not None) == told
+        assert off is None or off == pytest.approx(fraction * amplitude)
+    assert offset_of_all(stiff, moving) is None
+
+
+@pytest.mark.parametrize(("motion", "named"), [(1.0, True), (0.1, False)])
+def test_what_is_undone_leaves_no_more_of_the_motion_than_as_recorded(clean, motion, named, monkeypatch):
+    """Channels that change places change their noise, too: a quarter of its deviations may be more of what moves."""
+    search = _Search(everywhere(clean, OF_CHANNELS["velocity in rpm"][0]))
+    recorded = solve(list(search.systems.values()))
+    assert recorded.residual > 20
+
+    def undone(mistake, names):
+        if "swapped" not in mistake.id:
+            return None
+        return dataclasses.replace(recorded, squares=recorded.squares / 16, motion=motion * recorded.motion)
+
+    monkeypatch.setattr(search, "_all_undone", undone)
+    monkeypatch.setattr("estimators.validation.channel_consistency.EXPLAINS", 1.0)
+    found = search.of_all(list(search.systems))
+    assert (found is not None) == named
+
+
+def test_a_rail_without_a_spring_has_no_place_where_one_is_at_rest(clean):
+    change, words = OF_CHANNELS["offset of 5 mm"]
+    moved = everywhere(clean, change)
+    assert words in est.channel_consistency(moved).concerns[0]
+    railed = dataclasses.replace(moved, rig=moved.rig | {"spring_stiffness": 0.0})
+    assert not any("has an offset" in sentence for sentence in est.channel_consistency(railed).concerns)
+
+
 def test_what_was_not_measured_is_not_held_against_anything(clean):
     def bare(e):
         return dataclasses.replace(e, outputs={VELOCITY: e.outputs[VELOCITY]}, initial_arm_angle=None)
@@ -253,6 +293,8 @@ def test_clean_recordings_raise_no_concern(recordings):
 @pytest.mark.parametrize("draws", [6, pytest.param(43, marks=pytest.mark.slow)])
 def test_missing_effects_raise_no_concern(draws):
     found = {name: unfounded(recording) for name, recording in drawn_with_effects(draws, 1000).items()}
+    biased = [found.pop(name) for name in list(found) if name.endswith("tacho_bias")]
+    assert all("the sensor's zero is off" in sentence for said in biased for sentence in said), "which it is"
     assert {name: said for name, said in found.items() if said} == {}
 
 

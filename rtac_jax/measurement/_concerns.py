@@ -14,6 +14,7 @@ from ._input_noise import current_noise, noise_level
 from ._momentary_faults import momentary_faults, resolution
 from ._recording import POSITIVE, Recording
 from ._signal import OUTPUTS, Signal
+from ._unsigned_velocity import returns_unsigned
 from ._velocity_at_rest import read_at_rest
 
 SHOWN_NAMES = 6
@@ -223,6 +224,11 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
         )
     if experiment.samples < SHORT_SAMPLES:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
+    if times := returns_unsigned(experiment):
+        yield (
+            f"arm_velocity comes to nothing {times} times and is never negative, though the input changes its sign, as of a sensor "
+            "that counts pulses; give it the sign of the motion, or leave it out."
+        )
     for name, signal in experiment.outputs.items():
         about = _about_output(signal, at_rest, experiment.holds(name), counts=name in counting)
         yield from (f"{name} {sentence}" for sentence in about)

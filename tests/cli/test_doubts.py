@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from command_line import call, refused
 from spoilt_recordings import FORCED, MOMENTARY, OF_CHANNELS, in_one
 
 import estimators
-from estimators.cli.doubts import warn
+from estimators.cli.doubts import explaining, warn
 from estimators.cli.job import Job
+from estimators.core.results import DivergedError
+from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 TURNED = f"experiment {FORCED} disagrees with all others"
@@ -136,3 +139,23 @@ def test_what_the_equations_alone_contradict_is_taken_back_and_nothing_else(spoi
     assert len(work.remark.splitlines()) == len(before) - len(taken_back)
     work.withdraw_inconsistencies()
     assert work.doubts == kept
+
+
+def test_a_fit_that_diverges_says_at_whose_mass_and_inertia_it_began():
+    """A gantry of 25 times the paper's inertia, whose size nobody gave."""
+    time = 0.004 * np.arange(300)
+    run = Experiment.of(
+        "run", kind="forced", sample_time=0.004, disturbance_force=np.sin(3 * time), cart_position=0.01 * np.sin(3 * time),
+        arm_angle=0.1 * np.sin(3 * time),
+    )  # fmt: skip
+
+    def ended(rig: dict[str, float]) -> str:
+        with pytest.raises(DivergedError) as caught, explaining(Recording((run,), rig), []):
+            raise DivergedError("It diverges.")
+        return str(caught.value)
+
+    said = ended({"eccentric_moment": 0.0226})
+    assert "It diverges. The fit began at the paper's total_mass = 1.23 kg and arm_inertia = 9.5e-05 kg m^2" in said
+    assert "--rig total_mass=... --rig total_mass_std=..." in said
+    assert "began at the paper's arm_inertia = " in ended({"total_mass": 1.3})
+    assert ended({"total_mass": 1.3, "arm_inertia": 2e-3, "arm_inertia_std": 2e-4}) == "It diverges."

@@ -82,7 +82,8 @@ def import_files(
         bool,
         typer.Option(
             "--mend",
-            help="Put rows that a logger lost back as missing samples, and make clipped samples, dropouts and spikes missing.",
+            help="Drop rows that a logger wrote twice, put those that it lost back as missing samples, and make clipped samples,"
+            " dropouts and spikes missing.",
         ),
     ] = False,
     resample: Annotated[

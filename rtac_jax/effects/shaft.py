@@ -13,6 +13,10 @@ from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Impact, Motion, Outputs, States
 from rtac_jax.parameters import Scalar, parameter
 
+FRICTION_ON_ARM = (
+    "The arm's friction is taken to sit on the arm: of a motor that is braked by bearings of its own, or by a voltage that is held, "
+    "the rotor's inertia and what damps the twist are others."
+)
 # Twists as fast as can be sampled, each 1.6 times as fast as the last, as a resonance shows within a third of its frequency.
 _FASTER = (6.0, 10.0, 16.0, 25.0, 40.0, 64.0, 100.0, 160.0, 250.0)
 
@@ -77,6 +81,10 @@ class FlexibleShaft(Force):
     def arm_inertia(self, body: RigidBody) -> Any:
         return -self._sizes()[2] * self.rotor * body.arm_inertia
 
+    def remark(self, body: RigidBody) -> str:
+        del body
+        return FRICTION_ON_ARM
+
     def start(self, motion: Motion) -> States:
         return 0.0 * motion.arm_angle, self._sizes()[2] * motion.arm_velocity
 
@@ -116,6 +124,10 @@ class Backlash(Impact):
         within = jnp.clip(reached, -0.5 * self.gap, 0.5 * self.gap)
         after = jnp.where(jnp.abs(reached) < 0.5 * self.gap, free, 0.0)
         return (within, after), -inertia * (after - rate), -inertia * (within - twist - step * rate)
+
+    def remark(self, body: RigidBody) -> str:
+        del body
+        return FRICTION_ON_ARM
 
     def start(self, motion: Motion) -> States:
         return 0.0 * motion.arm_angle, 0.0 * motion.arm_velocity

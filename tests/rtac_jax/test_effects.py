@@ -385,3 +385,12 @@ def test_an_effect_shows_its_values_in_a_line():
     traced = []
     jax.jit(lambda x: traced.append(repr(CATALOGUE["cubic_spring"](x))) or x)(1.0)
     assert re.fullmatch(r"CubicSpring\(stiffness=\w+\)", traced[0])
+
+
+@pytest.mark.parametrize("effect", ["flexible_shaft", "backlash"])
+def test_where_an_arm_apart_from_its_rotor_has_its_friction_is_said(effect):
+    assert (
+        CATALOGUE[effect]
+        .remark(CATALOGUE[effect], RTAC.paper().body)
+        .startswith("The arm's friction is taken to sit on the arm: ")
+    )

@@ -14,8 +14,8 @@ from rtac_jax.effects._interface import Force, Impact, Motion, Outputs, States
 from rtac_jax.parameters import Scalar, parameter
 
 FRICTION_ON_ARM = (
-    "The arm's friction is taken to sit on the arm: of a motor that is braked by bearings of its own, or by a voltage that is held, "
-    "the rotor's inertia and what damps the twist are others."
+    "The arm's friction is taken to sit on the arm: of a motor that is braked by bearings of its own, or by a voltage that is held,"
+    " the rotor's inertia and what damps the twist are others."
 )
 # Twists as fast as can be sampled, each 1.6 times as fast as the last, as a resonance shows within a third of its frequency.
 _FASTER = (6.0, 10.0, 16.0, 25.0, 40.0, 64.0, 100.0, 160.0, 250.0)

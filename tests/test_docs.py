@@ -38,6 +38,14 @@ def test_links_of_the_root_lead_somewhere(page: Path) -> None:
     assert not [link for link in links if not ROOT.joinpath(link).exists()]
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.stem)
+def test_links_of_the_site_stay_in_it(page: Path) -> None:
+    """`make docs` refuses others, and is no part of `make test`."""
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).resolve().is_relative_to(ROOT / "docs"), f"{page.name}: {target}"
+
+
 def test_contributing_lists_the_rooms_in_the_order_of_imports() -> None:
     contracts = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     listed = re.findall(r"^\| `(\w+)` \|", ROOT.joinpath("CONTRIBUTING.md").read_text(), re.MULTILINE)

@@ -17,6 +17,7 @@ _TAKES_PART = 0.2  # fraction of a direction from which on a parameter is named 
 # The least that a parameter is taken to show, and the least slope of its stand-in as a fraction of its size: far below whatever
 # rounding leaves, and of squares that are still numbers. What shows nothing at all gets a deviation of 1e100 times its size.
 _LEAST = 1e-100
+_NOTHING = 1e6  # times its size, from which on a deviation is of what is not shown at all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,6 +226,15 @@ def each_deviations(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Flo
     common = _inverse(np.asarray(between))
     variance = [np.diagonal(i + t @ common @ t.T)[:own] for i, t in zip(inner, through, strict=True)]
     return np.sqrt(np.stack(variance, axis=1)) * np.asarray(space.each_scale)[:, None]
+
+
+def told_deviations(
+    factor: np.ndarray, space: Space, unknowns: Unknowns
+) -> dict[str, Float[np.ndarray, " experiment"]]:
+    """Return `each_deviations` by name, NaN where an experiment tells nothing of a parameter."""
+    deviations = each_deviations(factor, space, unknowns)
+    size = np.maximum(np.abs(np.asarray(space.physical(unknowns)[1])), np.asarray(space.each_scale)[:, None])
+    return dict(zip(space.each, np.where(deviations < _NOTHING * size, deviations, np.nan), strict=True))
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

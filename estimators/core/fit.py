@@ -54,6 +54,8 @@ class ModelFit(Result):
     model: RTAC
     information: Information
     statistics: Mapping[str, Any]
+    experiments: tuple[str, ...]
+    each_std: Mapping[str, Float[np.ndarray, " experiment"]]
 
     @property
     def unexcited(self) -> frozenset[str]:
@@ -77,6 +79,18 @@ class ModelFit(Result):
             if name not in self.model.per_experiment
         }
 
+    @property
+    def each_parameters(self) -> dict[str, Parameter]:
+        """Return what each experiment has for itself, as NAME[EXPERIMENT]; the deviation is NaN where it shows nothing of it."""
+        found = {}
+        for name in sorted(self.model.per_experiment):
+            unit, shape = self.model.parameters[name].unit, (len(self.experiments),)
+            values = np.broadcast_to(np.asarray(self.model[name]), shape)
+            deviations = np.broadcast_to(self.each_std.get(name, np.nan), shape)
+            for experiment, value, std in zip(self.experiments, values, deviations, strict=True):
+                found[f"{name}[{experiment}]"] = Parameter(float(value), float(std), unit)
+        return found
+
     def correlations(self) -> ParameterCorrelations:
         """Return the correlations of the free shared parameters, with the ellipses of any two."""
         found = self.parameters
@@ -89,10 +103,10 @@ class ModelFit(Result):
         )
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """Return every shared parameter that the recording excites as text: name, value, standard deviation and unit."""
+        """Return every parameter that the recording excites as text: name, value, standard deviation and unit."""
         return [
-            (name, f"{p.value:.6g}", "fixed" if p.is_fixed else f"{p.std:.2g}", p.unit)
-            for name, p in self.parameters.items()
+            (name, f"{p.value:.6g}", "fixed" if p.is_fixed else "" if np.isnan(p.std) else f"{p.std:.2g}", p.unit)
+            for name, p in (self.parameters | self.each_parameters).items()
             if name not in self.unexcited
         ]
 
@@ -160,6 +174,7 @@ class Fit(ModelFit):
         discounted: samples that hardly count, where the fit is robust.
         weights: of the squares in a robust fit, [sample output], by experiment; empty where all count alike.
         held: standard deviations of parameters that are fixed at estimates of something else, which those of the others count.
+        each_std: standard deviations of the parameters of each experiment, the others integrated out.
     """
 
     model: RTAC
@@ -174,6 +189,7 @@ class Fit(ModelFit):
     discounted: tuple[Discounted, ...] = ()
     weights: Mapping[str, Float[np.ndarray, "sample output"]] = dataclasses.field(default_factory=dict)
     held: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    each_std: Mapping[str, Float[np.ndarray, " experiment"]] = dataclasses.field(default_factory=dict)
 
     @property
     def held_deviations(self) -> Mapping[str, float]:

@@ -20,7 +20,7 @@ from rtac_jax.measurement import Experiment, Recording
 
 # Fraction of the squared residual that differences explain, from which on they are too large for one step.
 BEYOND_ONE_STEP = 0.5
-_LEAST = 3  # experiments that a trend and what scatters beside it need
+LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
 @checked_arguments
@@ -56,8 +56,8 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     require_configured()
     problem = at_fit(fit, recording)
     experiments = problem.experiments
-    if len(experiments) < _LEAST:
-        raise ValueError(f"constancy: {len(experiments)} experiment(s) show no drift; give at least {_LEAST}.")
+    if len(experiments) < LEAST:
+        raise ValueError(f"constancy: {len(experiments)} experiment(s) show no drift; give at least {LEAST}.")
     names = tuple(name for name in problem.names if name not in fit.model.priors)
     around = about_common(problem, names)
     chi_square, freedom = explained(around.information, around.slope, range(len(names)))
@@ -73,7 +73,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     trends = []
     for i in range(len(names)):
         shown = information[:, i, i] > SHOWN * np.max(information[:, i, i])
-        if np.sum(shown) < _LEAST:
+        if np.sum(shown) < LEAST:
             trends.append(())
             common_std[i] = fit.parameters[names[i]].std
             continue

@@ -85,6 +85,7 @@ class Equality:
             empty where none was. Values, their deviations and `varying` then allow each quantity a thousandth of its size.
         median_over_noise: the median of that over the conditions.
         left_without: of a nonlinear fit chi-square and freedom of the differences that are left without each condition.
+        confirmed: of a nonlinear fit whether one of all conditions together, with `varying` free in each, follows all to the noise.
         outlying: of a nonlinear fit the one experiment of four or more without which next to nothing of the differences is left,
             and no more than chance makes, or which a fit of all others that follows them does not follow; None where there is none,
             or more than one.
@@ -112,7 +113,14 @@ class Equality:
     over_noise: Mapping[str, float] = field(default_factory=dict)
     median_over_noise: Mapping[str, float] = field(default_factory=dict)
     left_without: tuple[tuple[float, int], ...] = ()
+    confirmed: bool = False
     outlying: Outlier | None = None
+
+    @property
+    def _with_motion(self) -> str:
+        """Return the covariate of the motion with which one of the few quantities goes; empty where none does."""
+        trends = [self.best_trend(name) for name in self.varying]
+        return next((trend.covariate for trend in trends if trend is not None and trend.covariate in _MOTION), "")
 
     @property
     def equal(self) -> bool:
@@ -132,38 +140,39 @@ class Equality:
 
     @property
     def decisive(self) -> bool:
-        """Return whether the model follows each condition by itself, one set for all does not, and one quantity explains that.
+        """Return whether the model follows each condition by itself, one set for all does not, and few quantities explain that.
 
-        Several that differ at once are what a missing effect looks like, and so is one beside which another explains as much.
+        Several that differ at once are what a missing effect looks like, if no fit with these free in each condition follows all;
+        and so is one, or are few, beside which others explain as much.
         """
         left = max(self.over_noise.values(), default=math.inf)
-        alone = len(self.varying) == 1 and self.suffices and self.rival < _NO_RIVAL * self.explained
+        few = len(self.varying) == 1 or self.confirmed
+        alone = few and self.suffices and self.rival < _NO_RIVAL * self.explained
         return not self.equal and alone and left <= FOLLOWED
 
     @property
     def is_of_the_rig(self) -> bool:
-        """Return whether one quantity alone explains the differences, and does not go with the motion, as what is missing would."""
-        trend = self.best_trend(self.varying[0]) if self.decisive else None
-        return self.decisive and (trend is None or trend.covariate not in _MOTION)
+        """Return whether few quantities explain the differences, and none goes with the motion, as what is missing would."""
+        return self.decisive and not self._with_motion
 
     @property
     def differences(self) -> str:
-        """Return, where one quantity or one experiment alone explains it, what differs, and what to do about it; else nothing."""
+        """Return, where few quantities or one experiment alone explain it, what differs, and what to do about it; else nothing."""
         alone = self.outlying.words if self.outlying is not None and self.outlying.decisive else ""
         if not self.decisive:
             return alone
-        trend = self.best_trend(self.varying[0])
-        if trend is not None and trend.covariate in _MOTION:
+        if self._with_motion:
             advice = (
-                f"What goes with {covariate_words(trend.covariate)} is an effect that the model lacks, as a spring that hardens, "
+                f"What goes with {covariate_words(self._with_motion)} is an effect that the model lacks, as a spring that hardens, "
                 "sooner than a drift: ask est.diagnose."
             )
         elif alone:
             advice = alone
         else:
+            names = ", ".join(f'"{name}"' for name in self.varying)
             advice = (
                 "Where est.diagnose names no effect that explains it better, fit a value for each experiment "
-                f'(model.each_experiment("{self.varying[0]}")).'
+                f"(model.each_experiment({names}))."
             )
         return (
             f"Experiments differ: with parameters of its own each is followed to {max(self.over_noise.values()):.2f} times the "

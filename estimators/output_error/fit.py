@@ -10,7 +10,7 @@ import numpy as np
 
 from estimators.closed_form.fit import starting_values
 from estimators.core.data import CHANNELS, Data, in_channels, mark_of, moving, pieces
-from estimators.core.fisher_information import information
+from estimators.core.fisher_information import information, told_deviations
 from estimators.core.fit import Fit, left_free
 from estimators.core.parameter_space import number_of_unknowns
 from estimators.core.progress import Progress
@@ -160,6 +160,7 @@ def output_error(
         model=model,
         result=result,
         information=found,
+        each_std=told_deviations(stage.solved.factor, stage.space, stage.solved.unknowns),
         noise=levels,
         residual_std={c: float(s) for c, s in zip(CHANNELS, stage.deviation, strict=True) if c in levels},
         start={e.name: states[:, i] for i, e in enumerate(experiments)},

@@ -46,9 +46,10 @@ def finding(improvement: Improvement) -> str:
             found = "No effect stands out, and yet" if before > FAR else "Nothing is missing:"
             return f"{found} the held-out error of {NAMES[channel]} is {times(before)} times the noise"
         if (differs := improvement.constancy) is not None and differs.decisive:
+            one = "one value" if len(differs.varying) == 1 else "one set"
             return (
-                f"Experiments differ in {differs.varying[0]}: with one value for all the held-out error of {NAMES[channel]} is"
-                f" {times(before)} times the noise"
+                f"Experiments differ in {' and '.join(differs.varying)}: with {one} for all the held-out error of "
+                f"{NAMES[channel]} is {times(before)} times the noise"
             )
         return (
             f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"

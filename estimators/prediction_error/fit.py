@@ -15,7 +15,7 @@ from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.correlation import LAGS, LEVEL, whiteness
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
-from estimators.core.fisher_information import Information, each_deviations, information
+from estimators.core.fisher_information import Information, information, told_deviations
 from estimators.core.fit import HEADER, ModelFit
 from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import scales_of, space_of
@@ -123,11 +123,6 @@ class PredictorFit(ModelFit):
 
     def __str__(self) -> str:
         lines = self.lines()
-        for name, std in self.each_std.items():
-            values = np.asarray(self.model[name])
-            unit = self.model.parameters[name].unit
-            for experiment, value, one in zip(self.experiments, values, std, strict=True):
-                lines.append(f"{name + ' in ' + experiment:30s} {value:12.6g} {one:10.2g}  {unit}")
         lines.append(f"{'random force on the cart':30s} {self.force_noise:12.3g} {'':10s}  N/sqrt(Hz)")
         lines.append(f"{'random torque on the arm':30s} {self.torque_noise:12.3g} {'':10s}  N m/sqrt(Hz)")
         for channel, level in self.noise.items():
@@ -229,7 +224,7 @@ def prediction_error_nonlinear(
     return PredictorFit(
         model=start.with_values(values),
         information=known,
-        each_std=dict(zip(space.each, each_deviations(triangles, space, found.unknowns), strict=True)),
+        each_std=told_deviations(triangles, space, found.unknowns),
         force_noise=float(force),
         torque_noise=float(torque),
         noise={c: float(s) for c, s in zip(CHANNELS, sensor, strict=True) if c in levels},

@@ -106,10 +106,10 @@ class _Told:
         return self.loop is not None and bool(self.loop.not_added) and not self.added
 
     @property
-    def varying(self) -> str:
-        """Return the parameter that differs between experiments; empty where none does."""
+    def varying(self) -> tuple[str, ...]:
+        """Return the parameters that differ between experiments; empty where none do."""
         differing = None if self.loop is None else self.loop.constancy
-        return differing.varying[0] if differing is not None and differing.decisive else ""
+        return differing.varying if differing is not None and differing.decisive else ()
 
     @property
     def outlying(self) -> str:
@@ -160,7 +160,8 @@ def _found(told: _Told) -> str:
             f". As a last resort the nearest, {told.effect(loop.nearest)}, was added, which explains "
             f"{100 * loop.nearest.error_reduction:.0f} % of what was left: likely, not certain"
         )
-    said += f"; {told.varying} differs between experiments" if told.varying else ""
+    differ = "differs" if len(told.varying) == 1 else "differ"
+    said += f"; {' and '.join(told.varying)} {differ} between experiments" if told.varying else ""
     if told.outlying:
         said += f"; {told.outlying} alone differs from all other experiments"
         said += ", and the last model is fitted without it" if loop is not None and loop.left_out is not None else ""
@@ -201,7 +202,9 @@ def _with_model(told: _Told, file: str, *, far: bool) -> str:
     mended = loop is not None and loop.mended == "adequate"
     fails = told.added and not mended and not last.line_alone
     learned = None if loop is None else loop.learned
-    own = f"Give each experiment a value of its own (model.each_experiment({told.varying!r})), or let settle what moves it."
+    names = ", ".join(map(repr, told.varying))
+    values, what = ("a value", "it") if len(told.varying) == 1 else ("values", "them")
+    own = f"Give each experiment {values} of its own (model.each_experiment({names})), or let settle what moves {what}."
     return _first(
         (
             learned is not None,

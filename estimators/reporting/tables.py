@@ -4,8 +4,6 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from estimators.core.fit import Fit, Parameter
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.policy import DiagnosisPolicy
@@ -18,17 +16,8 @@ from rtac_jax.measurement import OUTPUTS
 
 
 def every_parameter(fit: Fit | PredictorFit) -> dict[str, Parameter]:
-    """Return the shared parameters, and those that each experiment has for itself as NAME[EXPERIMENT].
-
-    The latter have no deviation.
-    """
-    found = dict(fit.parameters)
-    for name in sorted(fit.model.per_experiment):
-        unit = fit.model.parameters[name].unit
-        values = np.broadcast_to(np.asarray(fit.model[name]), (len(fit.experiments),))
-        for experiment, value in zip(fit.experiments, values, strict=True):
-            found[f"{name}[{experiment}]"] = Parameter(float(value), math.nan, unit)
-    return found
+    """Return the shared parameters, and those that each experiment has for itself as NAME[EXPERIMENT]."""
+    return fit.parameters | fit.each_parameters
 
 
 def error_table(train: Comparison, validation: Comparison | None) -> Table:

@@ -1,15 +1,15 @@
-"""The difference between experiments that a fit does not follow together: one parameter, or one experiment alone."""
+"""The difference between experiments that a fit does not follow together: a few parameters, or one experiment alone."""
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.results import FAILURES, DivergedError, NotIdentifiableError
-from estimators.inference.constancy import BEYOND_ONE_STEP, constancy
+from estimators.inference.constancy import BEYOND_ONE_STEP, LEAST, constancy
 from estimators.inference.varying_parameters import ENOUGH, NEXT_TO_ALL
 from estimators.linear.homogeneity_test import Equality, trend_of, varying
 from estimators.linear.outlier import FOLLOWED, Outlier
@@ -31,7 +31,7 @@ _FITS_OF_OTHERS = 2  # experiments that are asked alone at most
 def differing(
     fit: Fit, recording: Recording, *, least: float = WORTH_ASKING, coloured: Mapping[str, float] | None = None
 ) -> Equality | None:
-    """Return what differs between experiments, where one parameter or one experiment alone explains it; None elsewhere.
+    """Return what differs between experiments, where few parameters or one experiment alone explain it; None elsewhere.
 
     An experiment alone does where a fit of all others follows these to the noise, leaves next to no difference between them, and
     does not follow this one. Asked are those that take half of the differences with them: where one is far off, the common fit is
@@ -66,9 +66,26 @@ def differing(
     followed = all(
         ratio <= max(FOLLOWED, _NEXT_TO_NOTHING * fit.residual_std[c] / noise[c]) for c, ratio in usual.items()
     )
-    if not found.differences and not found.equal and large and followed:
-        found = _with_own_parameter(fit, recording, found, noise)
+    if not found.differences and not found.equal and large and followed and not fit.model.per_experiment:
+        several = len(found.varying) > 1 and found.suffices
+        found = (_with_own_set if several else _with_own_parameter)(fit, recording, found, noise)
     return found if found.differences else None
+
+
+def _with_own_set(fit: Fit, recording: Recording, found: Equality, noise: Mapping[str, float]) -> Equality:
+    """Return the test, confirmed where one fit with the named parameters free in each experiment follows all to the noise.
+
+    A warm motor changes the friction of both directions, and what shows that is not one parameter. As it was where it does not.
+
+    Args:
+        fit: of all, with one set of parameters.
+        recording: that was fitted.
+        found: names several parameters.
+        noise: rms by channel.
+    """
+    places = [found.names.index(name) for name in found.varying]
+    one = _followed(fit, recording, found, places, noise)
+    return found if one is None else dataclasses.replace(_with_values(found, places, *one), confirmed=True)
 
 
 def _with_own_parameter(fit: Fit, recording: Recording, found: Equality, noise: Mapping[str, float]) -> Equality:
@@ -83,49 +100,70 @@ def _with_own_parameter(fit: Fit, recording: Recording, found: Equality, noise: 
         found: says by how much each parameter scatters.
         noise: rms by channel.
     """
-    if fit.model.per_experiment:
-        return found
     scatter = np.nansum((found.values - found.common) ** 2 / found.std**2, axis=0)
     following: dict[int, tuple[Fit, dict[str, float]]] = {}
     for place in np.argsort(-scatter)[:_OWN_PARAMETERS]:
-        own = _begun(fit, found, int(place))
-        with contextlib.suppress(ArithmeticError, *FAILURES):
-            one = output_error(own, recording, from_model=True, steps=_STEPS, progress=False)
-            over = {channel: size / noise[channel] for channel, size in one.residual_std.items()}
-            if max(over.values()) <= FOLLOWED:
-                following[int(place)] = one, over
+        if (one := _followed(fit, recording, found, [int(place)], noise)) is not None:
+            following[int(place)] = one
     if len(following) != 1:
         return found
-    ((place, (one, over_noise)),) = following.items()
-    name = found.names[place]
-    each = np.asarray(one.model[name])
-    spread = found.std[:, place] * one.farthest / fit.farthest  # of residuals as large as those that are left now
-    std = np.where(np.isfinite(spread), spread, np.nanmax(spread))
-    told = varying(found.covariates)
+    ((place, one),) = following.items()
+    alone = dataclasses.replace(found, varying=(found.names[place],), explained=1.0, rival=0.0, suffices=True)
+    return _with_values(alone, [place], *one)
+
+
+def _followed(
+    fit: Fit, recording: Recording, found: Equality, places: Sequence[int], noise: Mapping[str, float]
+) -> tuple[Fit, dict[str, float]] | None:
+    """Return a fit with these parameters free in each experiment, and what it leaves over the noise, where that is the noise."""
+    own = _begun(fit, found, places)
+    with contextlib.suppress(ArithmeticError, *FAILURES):
+        one = output_error(own, recording, from_model=True, steps=_STEPS, progress=False)
+        over = {channel: size / noise[channel] for channel, size in one.residual_std.items()}
+        if max(over.values()) <= FOLLOWED:
+            return one, over
+    return None
+
+
+def _with_values(found: Equality, places: Sequence[int], one: Fit, over_noise: Mapping[str, float]) -> Equality:
+    """Return the test with the values that a fit of all experiments together has in each.
+
+    Args:
+        found: the test.
+        places: of the parameters that are free in each experiment.
+        one: the fit with these.
+        over_noise: what it leaves, by channel.
+    """
     trends = list(found.trends)
-    trends[place] = tuple(trend_of(covariate, x, each, np.diag(std**-2.0)) for covariate, x in told.items())
     values, deviations, common = found.values.copy(), found.std.copy(), found.common.copy()
-    values[:, place], deviations[:, place], common[place] = each, std, float(np.mean(each))
+    for place in places:
+        each, std = np.asarray(one.model[found.names[place]]), one.each_std[found.names[place]]
+        shown = np.isfinite(std)
+        weights = std[shown] ** -2.0
+        told = varying({name: x[shown] for name, x in found.covariates.items()}) if np.sum(shown) >= LEAST else {}
+        trends[place] = tuple(trend_of(name, x, each[shown], np.diag(weights)) for name, x in told.items())
+        values[:, place], deviations[:, place] = np.where(shown, each, np.nan), std
+        common[place] = np.average(each[shown], weights=weights) if len(weights) else np.nan
     return dataclasses.replace(
-        found, values=values, std=deviations, common=common, trends=tuple(trends), varying=(name,), explained=1.0,
-        rival=0.0, suffices=True, over_noise=over_noise,
-    )  # fmt: skip
+        found, values=values, std=deviations, common=common, trends=tuple(trends), over_noise=over_noise
+    )
 
 
-def _begun(fit: Fit, found: Equality, place: int) -> RTAC:
-    """Return the model with a parameter of each experiment, at the values that each has by itself with the others in common.
+def _begun(fit: Fit, found: Equality, places: Sequence[int]) -> RTAC:
+    """Return the model with parameters of each experiment, at the values that each has by itself with the others in common.
 
     All others are at the medians of theirs: the common fit is far from all experiments where a parameter drifts, and a long
     simulation has many minima. Where no experiment was fitted by itself, at the common fit.
     """
+    names = [found.names[place] for place in places]
     if not found.median_over_noise:
-        return fit.model.each_experiment(found.names[place])
+        return fit.model.each_experiment(*names)
     usual = found.common.copy()
     shown = np.isfinite(found.values).any(axis=0)
     usual[shown] = np.nanmedian(found.values[:, shown], axis=0)
     model = fit.model.with_values(dict(zip(found.names, map(float, usual), strict=True)))
-    name, each = found.names[place], found.values[:, place]
-    return model.each_experiment(name).with_values({name: np.where(np.isfinite(each), each, usual[place])})
+    each = np.where(np.isfinite(found.values), found.values, usual)
+    return model.each_experiment(*names).with_values({found.names[place]: each[:, place] for place in places})
 
 
 def may_show_alone(recording: Recording, one: Outlier) -> bool:

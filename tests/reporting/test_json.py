@@ -123,3 +123,22 @@ def test_where_one_parameter_differs_between_experiments_it_is_one_set_for_all_t
     far = dataclasses.replace(loop, constancy=dataclasses.replace(alike, over_noise={"arm_angle": 1.4}))
     assert finding(far).startswith("No effect could be added: the held-out error of")
     assert "The model fails, and no effect" in far.headline
+
+
+def test_where_several_parameters_differ_they_are_told_together_if_one_fit_confirmed_it():
+    names = ("arm_viscous.positive", "arm_viscous.negative")
+    one = differing(1.0, 1.0)
+    several = dataclasses.replace(
+        one, names=names, units=("N m s/rad",) * 2, values=np.repeat(one.values, 2, axis=1), std=np.repeat(one.std, 2, axis=1),
+        common=np.ones(2), common_std=np.full(2, 0.1), p_values=np.full(2, 1e-9), trends=((), ()), varying=names, outlying=None,
+        over_noise={"arm_angle": 1.1}, confirmed=True,
+    )  # fmt: skip
+    loop = dataclasses.replace(improvement(1, "unknown"), added=(), constancy=several)
+    bullets = of_diagnosis(loop, loop.train, loop.validation, file="rig.h5")
+    assert bullets.found.endswith("; arm_viscous.positive and arm_viscous.negative differ between experiments.")
+    assert "model.each_experiment('arm_viscous.positive', 'arm_viscous.negative')" in bullets.next
+    assert finding(loop).startswith("Experiments differ in arm_viscous.positive and arm_viscous.negative: with one set")
+    unconfirmed = dataclasses.replace(loop, constancy=dataclasses.replace(several, confirmed=False))
+    assert (
+        "differ between experiments" not in of_diagnosis(unconfirmed, loop.train, loop.validation, file="rig.h5").found
+    )

@@ -96,6 +96,41 @@ def test_a_parameter_of_each_experiment_is_tried_only_where_all_of_them_leave_ro
 
 
 @pytest.mark.slow
+def test_a_motor_that_warms_up_on_a_spring_that_softens_is_told_with_all_that_changes() -> None:
+    """Friction falls in both directions, so that a set of three is what one fit has to confirm."""
+    plans = virtual_rig.standard_plans(seed=62, sample_time=0.01, duration=4.0, free=2, forced=4, rest=1)
+    whole = virtual_rig.record(RIG, plans, seed=72)
+    moving = [plan.name for plan in plans if plan.kind != "rest"]
+    passed = np.arange(len(moving))
+    true = {
+        "spring_stiffness": RIG.spring_stiffness * (1 - 0.02 * passed),
+        "arm_viscous.positive": RIG.arm_viscous_positive * (1 - 0.08 * passed),
+        "arm_viscous.negative": RIG.arm_viscous_negative * (1 - 0.08 * passed),
+    }
+    each = {}
+    for place, name in enumerate(moving):
+        now = {parameter.replace(".", "_"): float(values[place]) for parameter, values in true.items()}
+        each[name] = virtual_rig.record(dataclasses.replace(RIG, **now), plans, seed=72)[name]
+    recording = dataclasses.replace(whole, experiments=tuple(each.get(e.name, e) for e in whole.experiments))
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert fit.farthest > 3.0
+    found = differing(fit, recording)
+    assert found is not None
+    assert set(found.varying) == set(true)
+    assert found.confirmed
+    assert found.is_of_the_rig
+    for name, values in true.items():
+        place = found.names.index(name)
+        shown = np.isfinite(found.std[:, place])
+        away = np.abs(found.values[:, place] - values)[shown] / found.std[shown, place]
+        assert np.all(away < 4), "with the deviations that are stated"
+        assert np.sum(found.std[shown, place] < 0.03 * values[shown]) >= 4, "a decay need not show both directions"
+        assert f'"{name}"' in found.differences
+    lost = dataclasses.replace(found, confirmed=False)
+    assert not lost.differences
+
+
+@pytest.mark.slow
 def test_a_spring_that_hardens_is_no_parameter_that_differs() -> None:
     rig = dataclasses.replace(RIG, cubic_spring=6e5)
     plans = virtual_rig.standard_plans(seed=62, sample_time=0.01, duration=4.0, free=1, forced=3, rest=1)
@@ -112,7 +147,7 @@ def test_where_no_experiment_was_fitted_by_itself_a_parameter_begins_at_the_comm
 ) -> None:
     found = est.constancy(fit, softening)
     place = found.names.index("spring_stiffness")
-    alone = differing_experiments._begun(fit, dataclasses.replace(found, median_over_noise={}), place)
+    alone = differing_experiments._begun(fit, dataclasses.replace(found, median_over_noise={}), [place])
     assert np.ptp(np.asarray(alone["spring_stiffness"])) == 0.0
     assert float(alone["torque_constant"]) == float(fit.model["torque_constant"])
 

@@ -111,7 +111,7 @@ def import_files(
         foreign = [file for file in sources if file.suffix.lower() not in _HDF5]
         for file in sources:
             if not file.is_file():
-                stop(WRONG_USE, f"{file}: there is no such file; check the path.")
+                stop(WRONG_USE, f"{file}: there is no such file{', but a folder' * file.is_dir()}; check the path.")
         if not dry_run:
             added_to = out.exists() and any(out.samefile(file) for file in sources)
             writable_file(out, "the recording", replace=replace or added_to)

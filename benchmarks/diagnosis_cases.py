@@ -59,6 +59,7 @@ EFFECTS: dict[str, Case] = {
     "tacho_bias": Case({"tacho_bias": 0.2}),
     "tacho_gain": Case({"tacho_gain": 1.03}),
     "tacho_lag": Case({"tacho_lag": 0.005}),
+    "tacho_delay": Case({"tacho_delay": 0.005}),
     "tacho_ripple": Case({"tacho_ripple": 0.02, "tacho_ripple_phase": 0.7}),
     "lvdt_gain": Case({"lvdt_gain": 1.1}),
     "lvdt_offset": Case({"lvdt_offset": 2e-4}),
@@ -129,6 +130,7 @@ LIMITS: dict[str, tuple[str, Callable[[float], float]]] = {
     "tacho_bias": ("tacho_bias", _itself),
     "tacho_gain": ("tacho_gain", lambda size: 1.0 + size),
     "tacho_lag": ("tacho_lag", _itself),
+    "tacho_delay": ("tacho_delay", _itself),
     "lvdt_nonlinearity": ("lvdt_cubic", _itself),
     "lvdt_lag": ("lvdt_lag", _itself),
     # What these change is not in proportion to their size.

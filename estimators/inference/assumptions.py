@@ -55,7 +55,7 @@ _ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "eccentric_moment": (
         _INTEGRATED,
-        ("tacho_bias", "tacho_lag", "gravity_tilt", "channel_delay"),
+        ("tacho_bias", "tacho_lag", "tacho_delay", "gravity_tilt", "channel_delay"),
     ),
     "torque_constant": (
         "the torque is proportional to the recorded current, at once and at all amplitudes",
@@ -68,6 +68,7 @@ _ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
             "dead_zone",
             "saturation",
             "tacho_lag",
+            "tacho_delay",
             "cogging",
             "torque_ripple",
             "cable_spring",

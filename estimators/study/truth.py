@@ -72,6 +72,7 @@ EFFECT_FIELD: Mapping[str, str] = {
     "force_droop.droop": "force_droop",
     "torque_droop.droop": "torque_droop",
     "tacho_lag.time_constant": "tacho_lag",
+    "tacho_delay.delay": "tacho_delay",
     "tacho_bias.bias": "tacho_bias",
     "tacho_ripple.harmonic": "tacho_ripple_order",
     "lvdt_lag.time_constant": "lvdt_lag",

@@ -41,6 +41,7 @@ from rtac_jax.effects.sensors import (
     LvdtNonlinearity,
     LvdtOffset,
     TachoBias,
+    TachoDelay,
     TachoGain,
     TachoLag,
 )
@@ -90,6 +91,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         DeadZone,
         TorqueDroop,
         TachoLag,
+        TachoDelay,
         TachoRipple,
         TachoGain,
         TachoBias,
@@ -179,6 +181,7 @@ __all__ = [
     "SplineForce",
     "States",
     "TachoBias",
+    "TachoDelay",
     "TachoGain",
     "TachoLag",
     "TachoRipple",

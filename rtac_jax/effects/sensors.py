@@ -16,6 +16,7 @@ from rtac_jax.effects._lag import behind
 from rtac_jax.parameters import Scalar, parameter
 
 _AMPLIFIER = "gain and offset of an analogue amplifier; Doebelin, Measurement Systems (2004), chapter 3"
+_PADE = "Golub and Van Loan, Matrix Computations (2013), section 9.3, Pade approximation of exp"
 _FIRST_ORDER = "first-order instrument; Doebelin, Measurement Systems (2004), chapter 3"
 
 
@@ -63,6 +64,29 @@ class _LatePosition(Sensor):
         return (behind(own[0], self.lag() / motion.step, change, bend),)
 
 
+class _LateVelocity(Sensor):
+    """An arm velocity that is read late."""
+
+    closed: ClassVar[bool] = True
+
+    @abstractmethod
+    def lag(self) -> Any:
+        """Return the time constant of the lag [s]."""
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_velocity=outputs.arm_velocity + own[0])
+
+    def start(self, motion: Motion) -> States:
+        return (0.0 * motion.arm_velocity,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return _lag_rate(self.lag(), own[0], motion.arm_acceleration)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        change = motion.arm_velocity - motion.began.arm_velocity
+        return (behind(own[0], self.lag() / motion.step, change),)
+
+
 class TachoGain(Sensor):
     """A wrong scale of the tachometer. It shows because the arm's angle acts on the cart through its sine and cosine."""
 
@@ -94,30 +118,43 @@ class TachoBias(Sensor):
         return outputs._replace(arm_velocity=outputs.arm_velocity + self.bias)
 
 
-class TachoLag(Sensor):
+class TachoLag(_LateVelocity):
     """A first-order lag of the tachometer's filter behind the arm's velocity."""
 
     id: ClassVar[str] = "tacho_lag"
     equation: ClassVar[str] = "tau y' = theta' - y"
     source: ClassVar[str] = _FIRST_ORDER
     needs_channel: ClassVar[str | None] = "arm_velocity"
+    resembles: ClassVar[tuple[str, ...]] = ("tacho_delay",)
     states: ClassVar[dict[str, str]] = {"ahead": "rad/s"}
-    closed: ClassVar[bool] = True
 
     time_constant: Scalar = _late("time constant of the tachometer", 2.0)
 
+    def lag(self) -> Any:
+        return self.time_constant
+
+
+class TachoDelay(_LateVelocity):
+    """An arm velocity that is read late: counted over a window, or behind a filter of second order or more.
+
+    A count over a window of T is late by T / 2, and a Butterworth filter of second order by 0.225 over its cut-off in hertz; below
+    a third of the cut-off neither does more. The delay is Pade's approximation of first order, as that of `channel_delay`.
+    """
+
+    id: ClassVar[str] = "tacho_delay"
+    equation: ClassVar[str] = "theta'(t - tau)"
+    source: ClassVar[str] = _PADE
+    needs_channel: ClassVar[str | None] = "arm_velocity"
+    resembles: ClassVar[tuple[str, ...]] = ("tacho_lag",)
+    states: ClassVar[dict[str, str]] = {"ahead": "rad/s"}
+
+    delay: Scalar = _late("delay of the arm's velocity", 1.0)
+
+    def lag(self) -> Any:
+        return 0.5 * self.delay
+
     def read(self, outputs: Outputs, own: States) -> Outputs:
-        return outputs._replace(arm_velocity=outputs.arm_velocity + own[0])
-
-    def start(self, motion: Motion) -> States:
-        return (0.0 * motion.arm_velocity,)
-
-    def rate(self, motion: Motion, own: States) -> States:
-        return _lag_rate(self.time_constant, own[0], motion.arm_acceleration)
-
-    def follow(self, motion: Motion, own: States) -> States:
-        change = motion.arm_velocity - motion.began.arm_velocity
-        return (behind(own[0], self.time_constant / motion.step, change),)
+        return outputs._replace(arm_velocity=outputs.arm_velocity + 2.0 * own[0])
 
 
 class LvdtGain(Sensor):
@@ -204,7 +241,7 @@ class ChannelDelay(_LatePosition):
 
     id: ClassVar[str] = "channel_delay"
     equation: ClassVar[str] = "q(t - tau)"
-    source: ClassVar[str] = "Golub and Van Loan, Matrix Computations (2013), section 9.3, Pade approximation of exp"
+    source: ClassVar[str] = _PADE
     needs_channel: ClassVar[str | None] = "cart_position"
     states: ClassVar[dict[str, str]] = {"ahead": "m"}
     place: ClassVar[str] = "cart_position"

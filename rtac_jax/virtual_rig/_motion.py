@@ -240,6 +240,8 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
     apart = bool(there.any())
     seen = np.stack([x[0], v[1], x[1]]) - lags * np.stack([v[0], 0.0 * v[1], v[1]])
     seen_out = np.empty((samples, 3, count))
+    delayed = bool(batch.column("tacho_delay").any())
+    speeds = np.empty((samples * substeps + 1 if delayed else 0, count))
 
     def shown() -> np.ndarray:
         """Return what the sensors look at between two steps: cart position, and velocity and angle of the rotor."""
@@ -275,6 +277,8 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
     for n in range(samples):
         out[n, :2], out[n, 2:] = x, v
         seen_out[n] = np.where(lags > 0, seen, shown() if apart else np.stack([x[0], v[1], x[1]]))
+        if delayed:
+            speeds[n * substeps] = seen_out[n, 1]
         if n == samples - 1:
             break
         drive[:] = held[n]
@@ -339,6 +343,9 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
                     angle = np.where(there, batch.rotor[0] - step * batch.rotor[1], angle)
                 seen += follow * (np.stack([x[0], speed, angle]) - seen)
             np.copyto(v, new)
+            if delayed:
+                now = np.where(there, batch.rotor[1], v[1]) if apart else v[1]
+                speeds[n * substeps + j + 1] = np.where(lags[1] > 0, seen[1], now)
             np.multiply(step if j < substeps - 1 else half, v, out=moved)
             np.add(x, moved, out=x)
 
@@ -351,5 +358,8 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
             line = CubicSpline(time, seen_q) if rig.lvdt_lag else CubicHermiteSpline(time, q, speed)
             late = time - rig.channel_delay
             seen_q = np.where(late < 0, q[0] + speed[0] * late, line(np.maximum(late, 0.0)))
+        if rig.tacho_delay:
+            fine = step * np.arange((samples - 1) * substeps + 1)
+            seen_w = np.interp(period * np.arange(samples) - rig.tacho_delay, fine, speeds[: len(fine), b])
         tracks.append(Track(q, speed, theta, arm_speed, seen_q, seen_w, seen_angle))
     return tracks

@@ -80,6 +80,7 @@ _NOT_NEGATIVE = (
     "backlash",
     "shaft_damping",
     "tacho_lag",
+    "tacho_delay",
     "lvdt_lag",
     "channel_delay",
     "encoder_lag",
@@ -237,6 +238,8 @@ class Rig:
     """[1]."""
     tacho_lag: float = 0.0
     """Time constant [s]."""
+    tacho_delay: float = 0.0
+    """The tachometer is sampled later than the other channels by this [s]."""
     lvdt_cubic: float = 0.0
     """c [1/m^2]: the LVDT shows q + c q^3."""
     lvdt_lag: float = 0.0

@@ -36,6 +36,7 @@ HIDDEN = {
     ),
     "cart_asymmetric_friction": (dict(cart_asymmetry=0.15), {"coefficient": 0.15}),
     "arm_load_friction": (dict(arm_load_friction=0.05), {"fraction": 0.05}),
+    "tacho_delay": (dict(tacho_delay=0.005), {"delay": 0.005}),
 }
 # Every run of the tests names two of the whole catalogue, one by `rtac demo` and one by the README: each takes half a minute.
 CASES = [

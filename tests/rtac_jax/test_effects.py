@@ -73,6 +73,7 @@ NAMES = frozenset(
         "encoder_offset",
         "encoder_lag",
         "channel_delay",
+        "tacho_delay",
     }
 )
 """Names that the catalogue may use."""

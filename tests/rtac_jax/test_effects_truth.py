@@ -93,6 +93,7 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "lvdt_ripple": (
         {"lvdt_ripple": 1e-4, "lvdt_ripple_phase": 0.4}, wave(effects.LvdtRipple, 1e-4, 0.4, Rig.lvdt_ripple_pitch)
     ),
+    "tacho_delay": ({"tacho_delay": 0.006}, effects.TachoDelay(0.006)),
     "lvdt_lag": ({"lvdt_lag": 0.005}, effects.LvdtLag(0.005)),
     "channel_delay": ({"channel_delay": 0.006}, effects.ChannelDelay(0.006)),
     "encoder_gain": ({"encoder_gain": 1.03}, effects.EncoderGain(0.03)),
@@ -126,6 +127,7 @@ IN_THE_PAPER = {"cart_viscous", "arm_viscous"}  # of every rig here
 TOLERANCE = {
     "end_stop": 5e-6,  # a kink at each end leaves second order
     "channel_delay": 5e-4,  # Pade's approximation of a delay, where the motion begins
+    "tacho_delay": 5e-4,  # the same
 }
 """Largest error of an output as a fraction of its largest value; 1e-6 for the others."""
 

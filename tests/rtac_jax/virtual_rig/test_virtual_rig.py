@@ -56,6 +56,7 @@ EFFECTS = [
     {"lvdt_offset": 1e-4},
     {"lvdt_ripple": 1e-4},
     {"channel_delay": 0.005},
+    {"tacho_delay": 0.005},
     {"tacho_ripple": 0.02},
     {"encoder_gain": 1.03},
     {"encoder_offset": 0.03},

@@ -343,7 +343,9 @@ def _named(found: Improvement) -> str:
             "unknown": f"{_fails(found)}, and {found.diagnoses[-1].no_effect} explains {whole}.",
         }.get(
             found.diagnoses[-1].verdict,
-            "The model fails, and what the diagnosis names does not serve held-out experiments.",
+            "One set of parameters for all fails, and what the diagnosis names explains less."
+            if _drifts(found)
+            else "The model fails, and what the diagnosis names does not serve held-out experiments.",
         )
     if found.names_nothing_sure:
         return unsure(found.doubtful, _fails(found), misfit(found.train.models[-1]))

@@ -22,7 +22,7 @@ from estimators.plots.improvement import finding, plot_improvement
 from estimators.validation.differing_experiments import differing, may_show_alone
 from estimators.validation.simulation_error import Comparison
 from rtac_jax import virtual_rig
-from rtac_jax.effects import CATALOGUE, CubicSpring
+from rtac_jax.effects import CATALOGUE, CubicSpring, EndStop
 from rtac_jax.measurement import Signal
 
 RIG = virtual_rig.Rig()
@@ -65,6 +65,35 @@ def improved(recording):
     return est.improve(
         rtac.RTAC.from_rig(recording), recording, candidates=[CubicSpring], thorough=False, progress=False
     )
+
+
+@pytest.mark.slow
+def test_an_effect_that_makes_up_for_a_drift_is_taken_back():
+    """The spring softens and friction falls from run to run; a stop at the ends of the travel left 7 times the noise."""
+    rig = RIG.drawn(6)
+    plans = virtual_rig.standard_plans(seed=6, sample_time=0.005, duration=4.0, free=2, forced=4, rest=1)
+    recording = virtual_rig.record(rig, plans, seed=13)
+    moving = [plan.name for plan in plans if plan.kind != "rest"]
+    for run, name in enumerate(moving):
+        now = dataclasses.replace(
+            rig,
+            spring_stiffness=rig.spring_stiffness * (1 - 0.02 * run),
+            arm_viscous_positive=rig.arm_viscous_positive * (1 - 0.08 * run),
+            arm_viscous_negative=rig.arm_viscous_negative * (1 - 0.08 * run),
+        )
+        there = virtual_rig.record(now, plans, seed=13)[name]
+        recording = changed(recording, name, lambda _, there=there: there)
+    model = rtac.RTAC.from_rig(recording)
+    improved = est.improve(model, recording, candidates=[EndStop], progress=False)
+    assert [c.id for c in improved.diagnoses[0].effects] == ["end_stop"]
+    assert not improved.added
+    assert improved.verdict == "unknown"
+    assert improved.constancy is not None
+    assert set(improved.constancy.varying) == {"spring_stiffness", "arm_viscous.positive", "arm_viscous.negative"}
+    assert improved.stopped.startswith("Not kept: end_stop, with which a simulation is left at")
+    assert "Experiments differ" in improved.headline
+    assert improved.headline.endswith("and what the diagnosis names explains less.")
+    assert finding(improved).startswith("Experiments differ in spring_stiffness and arm_viscous")
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from rtac_jax.arguments import checked_arguments
 
 from ._channel_checks import channel_concerns, jumps, rest_concerns, turns_fast, unit_concerns
+from ._differenced_counts import counts_differenced
 from ._experiment import Experiment
 from ._input_noise import current_noise, noise_level
 from ._momentary_faults import momentary_faults, resolution
@@ -228,6 +229,12 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
         yield (
             f"arm_velocity comes to nothing {times} times and is never negative, though the input changes its sign, as of a sensor "
             "that counts pulses; give it the sign of the motion, or leave it out."
+        )
+    if counts := counts_differenced(experiment):
+        yield (
+            f"arm_velocity moves in steps of a {counts}th of a turn in a sample, as an encoder's counts that are differenced: late"
+            " by half of what they are taken over, and with errors that are not independent; give the counts as arm_angle in its"
+            " place, or what the velocity sums to."
         )
     for name, signal in experiment.outputs.items():
         about = _about_output(signal, at_rest, experiment.holds(name), counts=name in counting)

@@ -68,17 +68,18 @@ def reaching(trained: Compared, tested: Compared) -> str:
     )
 
 
-def failure(trained: Compared, tested: Compared) -> str:
+def failure(trained: Compared, tested: Compared, *, fails: str) -> str:
     """Say how a model fails that a test rejects: at the noise only predictions one sample ahead speak against it.
 
     Args:
         trained: the model against the experiments that it was fitted to.
         tested: the same against those held out.
+        fails: the verb where it does not end there.
     """
     worst = [max(e.rms_over_noise for e in one.errors.values()) for one in (trained, tested)]
     if all(map(at_noise, worst)):
         return f"leaves the held-out experiments at {worst[1]:.2f} times the noise, though a test of predictions rejects it"
-    return "still fails"
+    return fails
 
 
 def of_little_service(

@@ -62,6 +62,11 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import OUTPUTS, Experiment, Recording
 
+_SLIGHT = (
+    " Its simulation is left at {:.2f} times the noise, though: what is missing shows in predictions one sample ahead, and next to"
+    " nothing of it in a simulation."
+)
+
 
 @checked_arguments
 @one_blas_thread()
@@ -294,6 +299,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += OF_A_LINE.format(told.simulated)
     elif told.rounding:
         text += OF_ROUNDING.format(told.simulated, " and ".join(told.rounded))
+    elif told.slight:
+        text += _SLIGHT.format(told.simulated)
     if told.drift:
         text += OF_A_DRIFT
     elif told.likely_drift:

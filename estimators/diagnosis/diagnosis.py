@@ -155,6 +155,12 @@ class Diagnosis(Result):
         return f"{steps}, whose rounding is no random noise; {worst.words}"
 
     @property
+    def slight(self) -> bool:
+        """Return whether only predictions one sample ahead speak against a model whose simulation is at a noise that is known."""
+        known = self.evidence is not None and self.evidence.facts.noise_known
+        return self.verdict == "unknown" and known and at_noise(self.simulated)
+
+    @property
     def drift(self) -> str:
         """Return the words of the test of drift, where it rejects and what any other finds is a small part of that.
 

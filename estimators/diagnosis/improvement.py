@@ -231,7 +231,9 @@ def _drifts(found: Improvement) -> bool:
 
 def _fails(found: Improvement) -> str:
     """Return the subject and verb of a sentence on a model that fails."""
-    return "The model fails" if not _drifts(found) else "One set of parameters for all fails"
+    if _drifts(found):
+        return "One set of parameters for all fails"
+    return f"The model {_failure(found, fails='fails')}" if not found.added else "The model fails"
 
 
 def _found(found: Improvement) -> str:
@@ -255,10 +257,10 @@ def _astray(found: Improvement) -> str:
     return astray(found.train.models[-1], found.validation.models[-1])
 
 
-def _failure(found: Improvement) -> str:
+def _failure(found: Improvement, *, fails: str = "still fails") -> str:
     """Return what the diagnosed model leaves, in words."""
     place = found.diagnosed[-1]
-    return failure(found.train.models[place], found.validation.models[place])
+    return failure(found.train.models[place], found.validation.models[place], fails=fails)
 
 
 def _but(found: Improvement) -> str:

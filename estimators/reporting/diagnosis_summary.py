@@ -148,6 +148,11 @@ def _found(told: _Told) -> str:
         (bool(last.drift), f"The model fails as where a parameter drifts{way}: {last.drift}"),
         (bool(last.line_alone), f"Only a line speaks against the model{way}: {last.line_alone}"),
         (bool(last.rounding), f"What speaks against the model may be rounding{way}: {last.rounding}"),
+        (
+            last.slight,
+            f"The simulation is left at {last.simulated:.2f} times the noise, though tests of predictions reject the model, and "
+            f"{last.no_effect} explains why{way}",
+        ),
         (True, f"The model fails, and {last.no_effect} explains it{way}"),
     )
     if loop is not None and loop.learned is not None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
 from estimators.diagnosis.caveats import reaching
+from estimators.diagnosis.evidence import Evidence
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.plots.diagnosis import finding
 from estimators.reporting.diagnosis_summary import of_diagnosis
@@ -48,6 +50,32 @@ def test_a_model_at_the_noise_does_not_fail_as_one_that_is_far_from_it_does():
     found = dataclasses.replace(looped(NAMED, diagnosis("unknown"), steps=3), diagnosed=(0, 2))
     assert "the mended model leaves the held-out experiments at 1.08" in found.headline
     assert "times the noise, though a test of predictions rejects it, and no effect of the catalogue" in found.headline
+    near = Comparison((compared("base", 0.3),))
+    alone = dataclasses.replace(near_noise(diagnosis("unknown")), train=near)
+    assert alone.headline.startswith("The model leaves the held-out experiments at 1.0")
+    assert alone.headline.endswith(
+        "times the noise, though a test of predictions rejects it, and no effect of the catalogue explains it."
+    )
+
+
+@pytest.mark.parametrize(
+    ("verdict", "simulated", "known", "slight"),
+    [
+        ("unknown", 1.03, True, True),
+        ("unknown", 1.4, True, False),
+        ("unknown", 1.03, False, False),
+        ("adequate", 1.03, True, False),
+    ],
+)
+def test_what_only_predictions_tell_is_slight_where_the_noise_is_known(verdict, simulated, known, slight):
+    evidence = Evidence.load(Path(__file__).parents[1] / "data" / "evidence" / "outside.json")
+    facts = dataclasses.replace(evidence.facts, noise_known=known)
+    found = dataclasses.replace(
+        diagnosis(verdict), simulated=simulated, evidence=dataclasses.replace(evidence, facts=facts)
+    )
+    assert found.slight == slight
+    said = of_diagnosis(found, Comparison((compared("base", 0.3),)), None, file="rig.h5").found
+    assert ("is left at 1.03 times the noise, though tests of predictions reject the model" in said) == slight
 
 
 def test_a_last_model_that_was_not_diagnosed_is_not_judged():

@@ -125,7 +125,8 @@ class Others:
     def cores(self) -> float:
         """Return the mean since then; children count once they have ended."""
         wall = time.perf_counter() - self.began
-        return round(max(_busy() - self.busy - (_own() - self.own), 0.0) / wall, 2)
+        found = max(_busy() - self.busy - (_own() - self.own), 0.0) / wall
+        return round(min(found, os.cpu_count() or 1), 2)  # ticks of the clock count more over a short time
 
 
 def _busy() -> float:

@@ -67,8 +67,10 @@ def differing(
         ratio <= max(FOLLOWED, _NEXT_TO_NOTHING * fit.residual_std[c] / noise[c]) for c, ratio in usual.items()
     )
     if not found.differences and not found.equal and large and followed and not fit.model.per_experiment:
-        several = len(found.varying) > 1 and found.suffices
-        found = (_with_own_set if several else _with_own_parameter)(fit, recording, found, noise)
+        if len(found.varying) > 1 and found.suffices:
+            found = _with_own_set(fit, recording, found, noise)
+        if not found.confirmed:
+            found = _with_own_parameter(fit, recording, found, noise)
     return found if found.differences else None
 
 

@@ -136,6 +136,11 @@ def control(
         raise refusals[0]
     best = min(made, key=lambda one: (float(one.closed.settling_time()[0]), float(np.std(one.closed.cart_position))))
     plants = _off(model)
+    within = SOONER * (alone if np.isfinite(alone) else duration)
+    off = loop(plants, best.recursion)
+    while not np.all(np.isfinite(off.settling_time())) and duration < _LONGEST:  # plants that differ may settle later
+        duration *= 2
+        off = loop(plants, best.recursion)
     inside = plants_inside(best.covered, model, actuation, off=OFF, count=PLANTS)
     printed = mixed_sensitivity(paper_nominal(), paper_weights())
     doubt, nothing = _doubt(fit)
@@ -143,8 +148,8 @@ def control(
         covered=best.covered, units=units, actuation=actuation, weights=best.weights, synthesis=best.synthesis,
         reduction=best.reduction, margins=margins(best.synthesis.nominal, best.recursion, best.weights),
         controller=_in_si(best.reduction.controller, units), sampled=_in_si(best.recursion, units),
-        displacement=displacement, within=SOONER * (alone if np.isfinite(alone) else duration), free=free,
-        closed=best.closed, off=loop(plants, best.recursion), off_free=loop(plants, None),
+        displacement=displacement, within=within, free=free,
+        closed=best.closed, off=off, off_free=loop(plants, None),
         drawn=loop(_drawn(fit), best.recursion), inside=None if inside is None else loop(inside, best.recursion),
         doubt=doubt, nothing=nothing, farthest=fit.farthest, inside_free=None if inside is None else loop(inside, None),
         printed_bound=(printed.bound, printed.bound_frequency),

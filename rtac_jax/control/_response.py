@@ -32,6 +32,9 @@ class ClosedLoop:
     def settling_time(self, fraction: float = 0.1) -> Plants:
         """Return the time from when on |q| stays under this fraction of its first value [s]; infinite if it never does.
 
+        It stays there if the response goes on for the longest half swing until then: at its end a cart that swings farther may just
+        pass through zero.
+
         Raises:
             ValueError: the fraction is not between 0 and 1, or a cart starts at zero.
         """
@@ -43,7 +46,21 @@ class ClosedLoop:
         above = ~(np.abs(self.cart_position) <= fraction * first)  # so that what is not a number counts as above
         last = len(self.time) - 1 - np.argmax(above[::-1], axis=0)
         after = np.minimum(last + 1, len(self.time) - 1)
-        return np.where(above[-1], np.inf, np.where(np.any(above, axis=0), self.time[after], 0.0))
+        settled = np.where(np.any(above, axis=0), self.time[after], 0.0)
+        followed = self.time[-1] - settled >= self._longest_half_swing(settled)
+        return np.where(above[-1] | ~followed, np.inf, settled)
+
+    def _longest_half_swing(self, until: Plants) -> Plants:
+        """Return the longest time from the start, or a passage of the cart through zero, to its next passage until then [s].
+
+        What creeps within the band later is no swing.
+        """
+        passes = np.diff(np.signbit(self.cart_position), axis=0)
+        found = np.zeros(passes.shape[1])
+        for plant, one in enumerate(passes.T):
+            passed = self.time[1:][one]
+            found[plant] = np.max(np.diff(passed[passed <= until[plant]], prepend=self.time[0]), initial=0.0)
+        return found
 
     @property
     def effort(self) -> Plants:

@@ -361,3 +361,13 @@ ONE = ct.tf([1.0], [1.0])
 def test_bad_input(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("duration", [7.9, 7.95, 8.0, 8.05, 8.1, 9.0, 12.0, 13.0, 16.0])
+def test_a_response_that_ends_as_it_passes_through_zero_has_not_settled(duration):
+    """A swing in closed form: a record of 8 s ended near zero, and was said to have settled just before."""
+    whole, time = (np.arange(round(end / 1e-3) + 1) * 1e-3 for end in (40.0, duration))
+    swing = np.exp(-0.19 * whole) * np.cos(10.38 * whole)
+    true = whole[np.flatnonzero(np.abs(swing) > 0.1)[-1] + 1]
+    found = ClosedLoop(time, swing[: len(time), None], *(np.zeros((len(time), 1)),) * 3, 0.1).settling_time()[0]
+    assert found == pytest.approx(true, abs=2e-3) if duration > true + 0.4 else found == np.inf

@@ -63,7 +63,7 @@ def next_experiment(
     if play is not None and play.suffix.lower() not in _PLAYED:
         stop(WRONG_USE, f"--play: is {play}; let the name end in {', '.join(_PLAYED)}.")
     if play is not None:
-        writable_file(play, "--play")
+        writable_file(play, "--play", written=_PLAYED)
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators.reporting.html import cleaned

@@ -3,9 +3,12 @@
 import os
 import secrets
 import stat
+from collections.abc import Collection
 from pathlib import Path
 
 from estimators.cli.refusals import WRONG_USE, stop
+
+_FOREIGN = (".csv", ".mat", ".tsv", ".txt", ".dat")  # of files that a logger may have written
 
 
 def saving_to(path: Path) -> None:
@@ -29,15 +32,16 @@ def writable_folder(folder: Path) -> Path:
     return folder
 
 
-def writable_file(file: Path, option: str, *, replace: bool | None = None) -> None:
+def writable_file(file: Path, option: str, *, replace: bool | None = None, written: Collection[str] = ()) -> None:
     """Try, before anything is computed, whether a file can be written; its folder is made if need be.
 
-    A recording of measurements is not written over: nobody may be able to make them again.
+    A recording of measurements is not written over, nor what a logger may have written: nobody may be able to make them again.
 
     Args:
         file: to be written.
         option: that names it.
         replace: the user asks for it to be written over, whatever it holds; None where a command knows no such wish.
+        written: endings of the tables that the option itself writes, over which it may write again.
     """
     if str(file) == "-":
         stop(WRONG_USE, f"{option}: standard output holds what is printed; name a file.")
@@ -50,9 +54,12 @@ def writable_file(file: Path, option: str, *, replace: bool | None = None) -> No
             stop(WRONG_USE, f"{file}: cannot be written to ({error.strerror}); name another file for {option}.")
         if is_folder:
             stop(WRONG_USE, f"{file}: is a folder; name a file for {option}.")
-        if not replace and _holds_measurements(file):
+        ending = file.suffix.lower()
+        foreign = ending in _FOREIGN and ending not in written and file.is_file()
+        if not replace and (foreign or _holds_measurements(file)):
             mend = "name another file" if replace is None else "name another file, or add --replace"
-            stop(WRONG_USE, f"{file}: holds a recording, which would be lost; {mend} for {option}.")
+            holds = "may hold measurements" if foreign else "holds a recording"
+            stop(WRONG_USE, f"{file}: {holds}, which would be lost; {mend} for {option}.")
     writable_folder(file.parent)
 
 

@@ -235,6 +235,16 @@ def test_no_result_takes_the_place_of_measurements(file, tmp_path, arguments, op
     assert there.read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["logger.csv", "logger.MAT", "logger.txt"])
+def test_no_result_takes_the_place_of_what_a_logger_may_have_written(file, tmp_path, name):
+    there = tmp_path / name
+    there.write_text("t,q\n0,0.1\n")
+    refused(call("info", file, "--json", there), 2, "may hold measurements, which would be lost", "for --json")
+    assert there.read_text() == "t,q\n0,0.1\n"
+    there.unlink()
+    assert call("info", file, "--json", there).exit_code == 0
+
+
 def test_a_recording_is_written_over_only_where_that_is_asked_for(file, tmp_path):
     there = tmp_path / "other.h5"
     shutil.copy(file, there)
